@@ -80,17 +80,41 @@ class RunFigures:
         gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
         lash.add_layout(gap)
         flanks = source("x", "y", "text", "baseline")
-        small = {"text_font_size": "11px", "text_color": FAINT_INK, "x_offset": 4}
-        lash.text("x", "y", "text", source=flanks, text_baseline="baseline", **small)
+        lash.text(
+            "x",
+            "y",
+            "text",
+            source=flanks,
+            text_baseline="baseline",
+            text_font_size="11px",
+            text_color=FAINT_INK,
+            x_offset=4,
+        )
         touches = source("x", "y", "angle", "fill", "colour", "size")
-        look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
-        lash.scatter("x", "y", source=touches, marker="triangle", **look)
+        lash.scatter(
+            "x",
+            "y",
+            source=touches,
+            marker="triangle",
+            line_color="colour",
+            fill_color="fill",
+            size="size",
+            angle="angle",
+        )
         arrows = source("x", "low", "high", "text")
         acceleration.segment("x", "low", "x", "high", source=arrows, color=INK, line_width=1.0)
         for end, angle in (("low", np.pi), ("high", 0.0)):
             acceleration.scatter("x", end, source=arrows, marker="triangle", size=5, color=INK, angle=angle)
-        text = {"text_align": "center", "text_baseline": "bottom", "text_font_size": "11px", "y_offset": -2}
-        acceleration.text("x", "high", "text", source=arrows, **text)
+        acceleration.text(
+            "x",
+            "high",
+            "text",
+            source=arrows,
+            text_align="center",
+            text_baseline="bottom",
+            text_font_size="11px",
+            y_offset=-2,
+        )
         for name in ("start", "end"):
             self._time.on_change(name, self._on_zoom)
         models = {"time": self._time, "gap": gap, "curves": self._curves, "flanks": flanks, "touches": touches}

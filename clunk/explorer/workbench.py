@@ -109,8 +109,15 @@ class Workbench:
         self._quantity = Select(value=first, options=described, name="quantity", visible=bool(subject.plane), width=260)
         self._lash = Select(value=names[0], options=names, name="of lash", visible=bool(results.lashes), width=260)
         one_line = {"color": "#5b646c", "flex": "none", "overflow": "hidden", "white-space": "nowrap"}
-        look = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
-        self._status = Div(text="…", name="status", render_as_text=True, height=20, styles=one_line, **look)
+        self._status = Div(
+            text="…",
+            name="status",
+            render_as_text=True,
+            height=20,
+            styles=one_line,
+            sizing_mode="stretch_width",
+            margin=(2, 6, 2, 6),
+        )
         self._figures = RunFigures(subject.study.load.step_time)
         self._keys = ColumnDataSource(data={"key": [], "steps": []})
         self._link = ColumnDataSource(data={})

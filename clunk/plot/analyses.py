@@ -5,7 +5,7 @@ The maps before and after a fit are in `comparisons`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,18 +13,17 @@ from matplotlib import ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from clunk.analysis.fitted import Fitted, weighted_quantiles
+from clunk.analysis.fitted import Fitted
 from clunk.analysis.optimisation import Front
-from clunk.analysis.sobol import CONFIDENCE, Sensitivity, Share
+from clunk.analysis.sobol import CONFIDENCE, Sensitivity
 from clunk.plot import style
+from clunk.study.arrays import Floats
 from clunk.study.parameters import nominal_value, quantity
 
 _SIDE = 1.9  # inches, of a panel of the corner plot
 _SHOWN = 1500  # draws
 _BINS = 30
-_ENDS = (0.002, 0.998)  # quantiles of the ensemble, between which it is drawn
 _LEAST = 0.02  # probability of a label that is in the legend
 _WIDTH = 7.2  # inches, of charts of bars
 _BAR = 0.36  # of the distance from one parameter to the next
@@ -40,23 +39,19 @@ def corner(fitted: Fitted) -> Figure:
     figure = style.new_figure((side, side))
     grid = figure.subplots(count, count, squeeze=False, sharex="col")
     picked = np.random.default_rng(fitted.fit.seed).choice(len(fitted.weights), _SHOWN, p=fitted.weights)
-    draws, ends = fitted.draws[picked], weighted_quantiles(fitted.draws, fitted.weights, _ENDS)
-    limits = np.sort(np.column_stack([ends, fitted.estimate]))[:, [0, -1]]  # hold the best candidate, too
-    names = [_name(fitted, k) for k in range(count)]
+    draws, names = fitted.draws[picked], [_name(fitted, k) for k in range(count)]
     for (row, column), ax in np.ndenumerate(grid):
         if column > row:
             ax.remove()
             continue
         ax.axvline(fitted.estimate[column], color=_SECOND, linewidth=0.9)
-        ax.set_xlim(limits[column])
         ax.xaxis.set_major_locator(ticker.MaxNLocator(4))
         ax.tick_params(labelsize=8.0, labelleft=column == 0)
         if column == row:
-            _draw_distribution(ax, fitted, row)
+            _draw_distribution(ax, fitted, row, draws[:, row])
         else:
             ax.scatter(draws[:, column], draws[:, row], s=3.0, color=_FIRST, alpha=0.25, linewidths=0)
             ax.axhline(fitted.estimate[row], color=_SECOND, linewidth=0.9)
-            ax.set_ylim(limits[row])
     for k in range(count):
         grid[-1, k].set_xlabel(names[k])
         if k:
@@ -66,15 +61,17 @@ def corner(fitted: Fitted) -> Figure:
     return figure
 
 
-def _draw_distribution(ax: Axes, fitted: Fitted, k: int) -> None:
-    """Draw the distribution of a parameter, its interval and its prior."""
-    edges = np.linspace(*ax.get_xlim(), _BINS + 1)
-    heights, _ = np.histogram(fitted.draws[:, k], edges, weights=fitted.weights)
-    ax.stairs(heights / np.diff(edges), edges, fill=True, color=_FIRST, alpha=0.5)
-    shares, prior = np.linspace(0.0, 1.0, 2001)[1:-1], fitted.priors[k]
-    quantiles = prior.quantiles(shares, nominal_value(fitted.study, prior.parameter))
-    below = np.interp(edges, quantiles, shares, 0.0, 1.0)
-    ax.stairs(np.diff(below) / np.diff(edges), edges, color=style.INK, linestyle="--", linewidth=0.8)
+def _draw_distribution(ax: Axes, fitted: Fitted, k: int, draws: Floats) -> None:
+    """Draw the shares of a parameter's draws in bins, its interval and its prior."""
+    prior, edges = fitted.priors[k], np.histogram_bin_edges(draws, _BINS)
+    shares = np.linspace(0.0, 1.0, 2001)[1:-1]
+    before = prior.quantiles(shares, nominal_value(fitted.study, prior.parameter))
+    filled, dashed = (
+        {"fill": True, "color": _FIRST, "alpha": 0.5},
+        {"color": style.INK, "linestyle": "--", "linewidth": 0.8},
+    )
+    for values, look in ((draws, filled), (before, dashed)):
+        ax.stairs(np.histogram(values, edges)[0] / values.size, edges, **look)
     for bound in fitted.intervals()[k]:
         ax.axvline(bound, color=_FIRST, linewidth=0.8)
     ax.set_yticks([])
@@ -134,39 +131,27 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
         raise style.PlotError("There are no indices to draw: every quantity is the same in all runs.")
     parameters = [*drawn[0][1]]
     figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))
+    places = np.arange(len(parameters))
     for ax, (heading, shares) in zip(panels, drawn, strict=True):
-        _draw_bars(ax, [shares[parameter] for parameter in parameters])
+        ordered = [shares[parameter] for parameter in parameters]
+        first = [(each.first, *each.first_interval) for each in ordered]
+        total = [(each.total, *each.total_interval) for each in ordered]
+        for values, colour, at in ((first, _FIRST, places - 0.5 * _BAR), (total, _SECOND, places + 0.5 * _BAR)):
+            share, *interval = np.transpose(values)
+            ax.barh(at, share, _BAR, color=colour, xerr=np.abs(interval - share), error_kw=_INTERVAL)
+        ax.axvline(0.0, color=style.INK, linewidth=0.8)
         ax.set_title(style.capital(heading), loc="left", fontsize=9.0)
+        style.tidy(ax, "x")
     axes = [*map(quantity, parameters)]
     names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
-    panels[0].set_yticks(np.arange(len(parameters)), names)
+    panels[0].set_yticks(places, names)
     panels[0].set_ylim(len(parameters) - 0.5, -0.5)
-    panels[-1].set_xlabel("Share of the variance")
-    notes = [
-        style.swatch("alone (first-order index)", _FIRST),
-        style.swatch("in all (total index)", _SECOND),
-        Line2D([], [], color=style.INK, linewidth=1.0, marker="|", label=f"{100 * CONFIDENCE:g} % interval"),
-    ]
+    panels[-1].set_xlabel(f"Share of the variance, with {100 * CONFIDENCE:g} % intervals")
+    notes = [style.swatch("alone (first-order index)", _FIRST), style.swatch("in all (total index)", _SECOND)]
     at = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
     line = ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in at)
     style.lay_out(figure, panels[0], sensitivity.study.title, line, notes)
     return figure
-
-
-def _draw_bars(ax: Axes, shares: Sequence[Share]) -> None:
-    """Draw both indices of each parameter as bars, and their intervals over them."""
-    places = np.arange(len(shares))
-    first = [(each.first, *each.first_interval) for each in shares]
-    total = [(each.total, *each.total_interval) for each in shares]
-    for values, colour, at in ((first, _FIRST, places - 0.5 * _BAR), (total, _SECOND, places + 0.5 * _BAR)):
-        share, *interval = np.transpose(values)
-        beyond = np.abs(interval - share)
-        ax.barh(at, share, _BAR, color=colour, xerr=beyond, error_kw=_INTERVAL, zorder=2)
-    ax.axvline(0.0, color=style.INK, linewidth=0.8, zorder=4)
-    ax.grid(axis="x", color="0.9", linewidth=0.6)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right", "left"]].set_visible(False)
-    ax.tick_params(axis="y", length=0)
 
 
 @style.styled()

@@ -53,8 +53,14 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
             paint[cells] = list(bytes.fromhex(colour[1:]))
             notes.append(Note(f"{text}: {cells_phrase(int(np.count_nonzero(cells)))}", colour))
     title = f"Differences: {a.title}" if len(set(comparison.titles.values())) == 1 else "Differences between two maps"
-    look: dict[str, Any] = {"paint": paint, "notes": tuple(notes), "facts": tuple(_differences(comparison))}
-    undoubted = replace(layers, title=title, undecided=np.zeros_like(layers.undecided), **look)
+    undoubted = replace(
+        layers,
+        title=title,
+        undecided=np.zeros_like(layers.undecided),
+        paint=paint,
+        notes=tuple(notes),
+        facts=tuple(_differences(comparison)),
+    )
     return map_figure([undoubted])
 
 

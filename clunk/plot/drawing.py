@@ -102,8 +102,16 @@ def strip(drawn: AnyMap, quantity: str = "severity") -> Figure:
     # The quantity jumps between regimes.
     for cells in np.split(np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1):
         marker = "o" if samples.size <= _FEW or cells.size == 1 else ""
-        look: dict[str, Any] = {"linewidth": 1.5, "markersize": 3.0, "clip_on": False, "zorder": 3}
-        ax.plot(samples[cells], values[cells], marker=marker, color=style.LINE_COLOURS[0], **look)
+        ax.plot(
+            samples[cells],
+            values[cells],
+            marker=marker,
+            color=style.LINE_COLOURS[0],
+            linewidth=1.5,
+            markersize=3.0,
+            clip_on=False,
+            zorder=3,
+        )
     scale_axis(ax, "x", layers.view.x)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylabel(of_quantity.value_label)

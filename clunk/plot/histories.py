@@ -182,8 +182,14 @@ def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[Floats], 
             name = names[inertia] if inertia < len(names) else ""
             label = f"{symbol}{_index(inertia + 1)} {style.plain(name)}".rstrip()
             handles[inertia] = Line2D([], [], color=colour, label=label)
-    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
-    ax.legend(handles=[*handles.values()], handlelength=1.4, frameon=False, **place)
+    ax.legend(
+        handles=[*handles.values()],
+        handlelength=1.4,
+        frameon=False,
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.03),
+        borderaxespad=0.2,
+    )
 
 
 def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
@@ -206,8 +212,13 @@ def draw_backlash(ax: Axes, curves: Sequence[Curve]) -> None:
         coordinate = 1e3 * run.backlash_coordinate
         ax.plot(run.time, coordinate, zorder=3, **look)
         for row, side, primary in zip(run.touches.row, run.touches.side, run.touches.primary, strict=True):
-            mark: dict[str, Any] = {"marker": "^" if side > 0 else "v", "gid": "primary" if primary else "secondary"}
-            ax.plot(run.time[row], coordinate[row], **mark, **_touch_look(look["color"], primary=primary, size=size))
+            ax.plot(
+                run.time[row],
+                coordinate[row],
+                marker="^" if side > 0 else "v",
+                gid="primary" if primary else "secondary",
+                **_touch_look(look["color"], primary=primary, size=size),
+            )
         size *= 0.8  # so that of impacts in one place all can be seen
     ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
     reach = max(1.2 * widest, *(1.05e3 * np.abs(run.backlash_coordinate).max() for run in runs))
@@ -243,8 +254,7 @@ def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
     if any(run.is_restitution for run, _ in curves):
         ax.margins(y=0.2)
         text = "restitution model: between the touches only, where velocities jump; Q is not defined"
-        place: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "top"}
-        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, **place)
+        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, transform=ax.transAxes, ha="right", va="top")
     elif len(curves) == 1:
         _mark_severity(ax, curves[0][0])
 
@@ -254,11 +264,20 @@ def _mark_severity(ax: Axes, run: History) -> None:
     impacts = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
     begin, end = run.time[[0, -1]]
     arrow = {"arrowstyle": "<->", "relpos": (0.5, 0.0), "shrinkA": 0.0, "shrinkB": 0.0}
-    look: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 9.0, "gid": "severity", "zorder": 6}
     for impact in impacts if len(impacts) <= _LABELLED else []:
         x = min(impact.begin + 0.028 * (end - begin), 0.5 * (impact.begin + min(impact.end, end)))
         text = f"Q{_index(impact.number)} = {impact.severity:.0f}"
-        ax.annotate(text, (x, impact.smallest), (x, impact.largest), arrowprops=arrow, **look)
+        ax.annotate(
+            text,
+            (x, impact.smallest),
+            (x, impact.largest),
+            arrowprops=arrow,
+            ha="center",
+            va="bottom",
+            fontsize=9.0,
+            gid="severity",
+            zorder=6,
+        )
     ax.margins(y=0.12)
 
 
@@ -313,14 +332,32 @@ def _draw_small_gap(ax: Axes, response: SmallGap) -> None:
     torque = np.append(response.start, response.torque)
     ax.plot(time, torque, color=blue, linewidth=1.5, zorder=4, label="response")
     opposite = (torque * np.sign(response.start) < 0.0).tolist()
-    fill: dict[str, Any] = {"where": opposite, "interpolate": True, "color": blue, "alpha": 0.2, "linewidth": 0.0}
-    ax.fill_between(time, torque, 0.0, label="on the opposite flank", **fill)
+    ax.fill_between(
+        time,
+        torque,
+        0.0,
+        label="on the opposite flank",
+        where=opposite,
+        interpolate=True,
+        color=blue,
+        alpha=0.2,
+        linewidth=0.0,
+    )
     ax.axhline(0.0, color=INK, linewidth=1.0, zorder=2)
     ax.axhline(response.end, color=FAINT_INK, linewidth=0.9, linestyle=(0, (1.0, 2.0)), label="equilibrium")
     if _crosses_zero(response):
-        mark: dict[str, Any] = {"marker": "o", "linestyle": "none", "color": orange, "markeredgecolor": INK}
         label = f"characteristic time {symbol_text('tc')}"
-        ax.plot(t0 + response.characteristic_time, 0.0, zorder=6, gid="tc", label=label, **mark)
+        ax.plot(
+            t0 + response.characteristic_time,
+            0.0,
+            zorder=6,
+            gid="tc",
+            label=label,
+            marker="o",
+            linestyle="none",
+            color=orange,
+            markeredgecolor=INK,
+        )
     ax.set(xlabel="Time [s]", ylabel="Torque across the lash [N m]", xlim=time[[0, -1]])
     style.tidy(ax)
 

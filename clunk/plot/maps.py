@@ -199,8 +199,9 @@ def _fill_regions(ax: Axes, layers: Layers) -> None:
     for code, (name, colour) in looks.items():
         rings = [Path(ring, closed=True) for region, rings in layers.outlines if region == code for ring in rings]
         if rings:
-            look: dict[str, Any] = {"color": colour, "linewidth": 0.3, "zorder": 1, "gid": f"region {name}"}
-            ax.add_artist(PathPatch(Path.make_compound_path(*rings), **look))
+            ax.add_artist(
+                PathPatch(Path.make_compound_path(*rings), color=colour, linewidth=0.3, zorder=1, gid=f"region {name}")
+            )
 
 
 def _mark_doubts(ax: Axes, layers: Layers) -> None:
@@ -268,8 +269,7 @@ def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> l
         return []
     text = f"vanishing backlash: {', '.join(f'{value:.3g}' for value in inside).replace('-', MINUS)}"
     look: dict[str, Any] = {"linestyle": "none", "marker": "^", "color": INK, "markersize": 5.5, "label": text}
-    place: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
-    ax.plot(inside, [0.0] * len(inside), **look, **place)
+    ax.plot(inside, [0.0] * len(inside), **look, transform=ax.get_xaxis_transform(), clip_on=False, zorder=6)
     return [Line2D([], [], **look)]
 
 

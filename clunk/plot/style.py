@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 import numpy as np
 
@@ -138,8 +138,13 @@ def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
     if handles:
         widest = max(len(str(handle.get_label())) for handle in handles)
         columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
-        look: dict[str, Any] = {"ncols": min(columns, len(handles)), "frameon": False, "handlelength": 1.6}
-        legend = figure.legend(handles=list(handles), loc="outside lower center", **look)
+        legend = figure.legend(
+            handles=list(handles),
+            loc="outside lower center",
+            ncols=min(columns, len(handles)),
+            frameon=False,
+            handlelength=1.6,
+        )
         figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
     ConstrainedLayoutEngine().execute(figure)
     figure.set_layout_engine("none")  # else it would be laid out again when it is written
@@ -163,9 +168,9 @@ def cells_phrase(count: int) -> str:
     return f"{count:,} cell{'' if count == 1 else 's'}"
 
 
-def tidy(ax: Axes) -> None:
-    """Draw horizontal grid lines, and no spines at the top and on the right."""
-    ax.grid(axis="y", color="0.9", linewidth=0.6)
+def tidy(ax: Axes, axis: Literal["x", "y"] = "y") -> None:
+    """Draw grid lines at an axis's ticks, and no spines at the top and on the right."""
+    ax.grid(axis=axis, color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 
