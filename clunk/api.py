@@ -224,7 +224,7 @@ def draw(
         Of results: regimes, severity, touches, double_sided_impacts, severity<=8000 and so on, in the words of
         `clunk.results.quantities`. Of a tolerance map: regimes, severity (its mean), severity_5, severity_50,
         severity_95, or the probability of double_sided and the like. Of a fit:
-        regimes (the maps before and after, with the measured labels, which are run for it), ensemble or labels.
+        maps (regimes before and after, with the measured labels, which are run for it), ensemble or labels.
     lash : str, optional
         Of a map of several lashes, the one to draw, by name or number; by default the first.
 
@@ -254,13 +254,11 @@ def draw(
         return plot.draw(what, quantity, thresholds_of(what))
     if isinstance(what, Fitted):
         from clunk.plot.analyses import FIGURES
-        from clunk.plot.comparisons import measured_on_maps
 
-        if quantity == "regimes":
-            return measured_on_maps(what)
-        if quantity not in FIGURES:
-            raise plot.PlotError(f"There is no picture {quantity} of a fit; there are regimes, {', '.join(FIGURES)}.")
-        return FIGURES[quantity](what)
+        name = "maps" if quantity == "regimes" else quantity
+        if name not in FIGURES:
+            raise plot.PlotError(f"There is no picture {quantity} of a fit; there are {', '.join(FIGURES)}.")
+        return FIGURES[name](what)
     if not isinstance(what, Trajectory):
         raise TypeError(
             f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."

@@ -27,7 +27,7 @@ from clunk.study.optimisation import Optimize
 from clunk.study.parameters import nominal_value
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 
 RELEASE_TIME = "release_time"  # s, from which on the load rests
@@ -118,20 +118,22 @@ class Problem:
     """Runs of candidates for the free numbers of a study, and how good they are.
 
     study : with [optimize]
-    lash, workers, progress : as of `optimize`
+    lash, workers : as of `optimize`
     shown : quantity that is told besides, if any
+    progress : called with the number of runs so far, and the most that there can be
     """
+
+    progress: Progress | None
 
     def __init__(
         self,
         study: Study,
         lash: str | None = None,
         workers: int | None = None,
-        progress: Progress | None = None,
         shown: str = "",
     ) -> None:
-        self.optimize, self.runs = _table(study), 0
-        self._lash, self._progress = study.lash_names[lash_position(lash, study.lash_names)], progress
+        self.optimize, self.runs, self.progress = _table(study), 0, None
+        self._lash = study.lash_names[lash_position(lash, study.lash_names)]
         free, minimize = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free], np.float64).T
         self._key = next((k for k, each in enumerate(free) if minimize in each.keys), None)
@@ -176,8 +178,8 @@ class Problem:
         columns = self._columns(candidates, shape)
         results = self._runner(self._runner.values(columns)).of_lash(self._lash)
         self.runs += results.sequence.size
-        if self._progress is not None:
-            self._progress(self.runs, max(self.runs, self.most))
+        if self.progress is not None:
+            self.progress(self.runs, max(self.runs, self.most))
 
         def worst(values: Floats) -> Floats:
             """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
@@ -250,7 +252,7 @@ def optimize(
     *,
     lash: str | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: bool | Progress = False,
     shown: str = "",
 ) -> Optimum:
     """Find the values of a study's free keys that minimise a key or a quantity while its conditions hold.
@@ -264,8 +266,8 @@ def optimize(
         Of several lashes, the one that is meant, by name or number; by default the first.
     workers : int, optional
         Threads.
-    progress : callable(done, most), optional
-        Called with the number of runs so far, and the most that there can be.
+    progress
+        As of `clunk.sweep`; runs are counted, of the most that there can be.
     shown : str, optional
         A quantity that is told besides.
 
@@ -287,16 +289,17 @@ def optimize(
     >>> best.value < 0.1275  # s
     True
     """
-    problem, found = Problem(study, lash, workers, progress, shown), []
-    try:
-        points = _explored(problem)
-        merits = problem.merit(problem(points))
-        for start in range(_STARTS):
-            found.append(_searched(problem, points, merits, np.random.default_rng([_table(study).seed, start])))
-    except KeyboardInterrupt as stopped:
-        if found:
-            stopped.args = (_optimum(problem, study, found), *stopped.args)
-        raise
+    problem, found = Problem(study, lash, workers, shown), []
+    with reporting(progress, problem.most, problem.study, what="runs at most") as problem.progress:
+        try:
+            points = _explored(problem)
+            merits = problem.merit(problem(points))
+            for start in range(_STARTS):
+                found.append(_searched(problem, points, merits, np.random.default_rng([_table(study).seed, start])))
+        except KeyboardInterrupt as stopped:
+            if found:
+                stopped.args = (_optimum(problem, study, found), *stopped.args)
+            raise
     best = _optimum(problem, study, found)
     if not has_tolerances(study):
         return best

@@ -27,7 +27,7 @@ from clunk.study.problems import ConfigError
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study
 from clunk.study.sweeps import Sweep
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 
 CONFIDENCE = 0.95  # of the intervals
@@ -141,7 +141,7 @@ def sensitivity(
     of: Sequence[str] = (),
     lash: str | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: bool | Progress = False,
 ) -> Sensitivity:
     """The first-order and total Sobol indices of an operating point's outcome.
 
@@ -185,8 +185,10 @@ def sensitivity(
     sample, without = saltelli_sample(point), [nominal_value(point, parameter) for parameter in parameters]
     n, pages, d = sample.shape
     runner = Runner(measuring(point, quantities), parameters, workers=workers)
+    points = [*sample.reshape(-1, d), without]
     try:
-        runs = runner([*sample.reshape(-1, d), without], progress=progress).of_lash(lash)
+        with reporting(progress, len(points), runner.study, what="runs") as report:
+            runs = runner(points, progress=report).of_lash(lash)
     except ConfigError as error:
         raise ClunkError(
             f"A draw is not allowed: {error.problems[0].key}, {error.problems[0].message}; bound its distribution with "

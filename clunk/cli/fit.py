@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import PATH, json_option, lash_option, set_option, workers_option
 from clunk.study.errors import ClunkError
-
-if TYPE_CHECKING:
-    from clunk.analysis.fitted import Fitted
 
 
 @click.command()
@@ -52,6 +48,8 @@ def fit(
         raise click.UsageError("--tolerances goes with --write.")
     import clunk
     from clunk.results import targets
+    from clunk.results.files import write_text
+    from clunk.study.study import to_toml
 
     study = clunk.load_study(config, overrides)
     if picture is not None:
@@ -64,32 +62,16 @@ def fit(
     click.echo(f"{fitted.candidates:,} candidates in {time.perf_counter() - began:.1f} s", err=True)
     tables.tell(fitted, as_json)
     if fitted_config is not None:
-        _write(fitted, fitted_config, tolerances or 0)
+        comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"
+        write_text(fitted_config, comment + to_toml(clunk.fitted_study(fitted, tolerances or 0)))
+        terminal.say_written(fitted_config)
     if picture is not None:
-        _draw(fitted, picture, workers)
+        from clunk.plot.analyses import FIGURES
+
+        for name, figure_of in FIGURES.items():
+            try:
+                terminal.save_picture(figure_of(fitted), picture.with_name(f"{picture.stem}-{name}{picture.suffix}"))
+            except ClunkError as error:  # no map of other than two measured parameters
+                terminal.complain(f"note: {error}")
     for sentence in fitted.warnings:
         terminal.complain(f"warning: {sentence}")
-
-
-def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
-    """Write the fitted config, with the ensemble as tolerances if they are asked for."""
-    from clunk.analysis.fitted import fitted_study
-    from clunk.results.files import write_text
-    from clunk.study.study import to_toml
-
-    comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"
-    write_text(path, comment + to_toml(fitted_study(fitted, tolerances)))
-    terminal.say_written(path)
-
-
-def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
-    """Draw the pictures of a fit: PATH-ensemble, PATH-labels and, of two measured parameters, PATH-maps."""
-    from clunk.plot import analyses, comparisons
-
-    pictures = {name: figure_of(fitted) for name, figure_of in analyses.FIGURES.items()}
-    try:
-        pictures["maps"] = comparisons.measured_on_maps(fitted, workers)
-    except ClunkError as error:
-        terminal.complain(f"note: {error}")
-    for name, figure in pictures.items():
-        terminal.save_picture(figure, path.with_name(f"{path.stem}-{name}{path.suffix}"))

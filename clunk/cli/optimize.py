@@ -9,7 +9,6 @@ import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import PATH, json_option, lash_option, set_option, workers_option
-from clunk.sweeping import progress
 
 
 @click.command()
@@ -53,16 +52,15 @@ def optimize(
     for path, suffixes in ((output, (".toml",)), (picture, targets.PICTURES)):
         if path is not None:
             targets.check(path, suffixes, reads=config)
-    terminal.warm_up(study.model_copy(update={"sweep": None}))
-    with progress.shown(0, "runs at most") as show:
-        options: dict[str, Any] = {"lash": lash, "workers": workers, "progress": show}
-        try:
-            find = optimisation.optimize
-            found = optimisation.front(study, traded, **options) if traded else find(study, **options)
-        except KeyboardInterrupt as stopped:
-            for best in stopped.args:
-                tables.tell(best, as_json)
-            raise
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    options: dict[str, Any] = {"lash": lash, "workers": workers, "progress": True}
+    try:
+        find = optimisation.optimize
+        found = optimisation.front(study, traded, **options) if traded else find(study, **options)
+    except KeyboardInterrupt as stopped:
+        for best in stopped.args:
+            tables.tell(best, as_json)
+        raise
     tables.tell(found, as_json)
     points = found.points if isinstance(found, optimisation.Front) else (found,)
     for k, best in enumerate(points, 1):

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 
-from clunk.cli import tables, terminal
+from clunk.cli import tables
 from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, workers_option
-from clunk.sweeping import progress
 
 
 @click.command()
@@ -30,24 +29,15 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
       clunk reproduce
       clunk reproduce --table results/README.md
     """
-    from clunk.analysis.comparison import METHODS, with_method
     from clunk.report import reproduction
     from clunk.report.claims import claims as claims_of
-    from clunk.report.evidence import Evidence, map_studies, run_maps
+    from clunk.report.evidence import Evidence, run_maps
     from clunk.results import targets
-    from clunk.sweeping.sweep import cell_count
 
     targets.check(output / "figure_3_1.png", targets.PICTURES)
-    studies = [*map_studies(coarsen).values()]
-    terminal.say_if_compiling(*(with_method(studies[0], method) for method in METHODS))
-    total = sum(map(cell_count, studies))
-    with progress.shown(total) as show:
-        maps = run_maps(coarsen, workers, show)
-    evidence = Evidence(maps)
+    evidence = Evidence(run_maps(coarsen, workers, progress=True))
     claims = claims_of(evidence)
-    jobs = reproduction.figures(evidence)
-    with progress.shown(len(jobs), "figures") as show:
-        written = reproduction.save_all(jobs, evidence, claims, output, show)
+    written = reproduction.save_all(evidence, claims, output)
     if table is not None:
         reproduction.write_tables(table, claims)
     if as_json:

@@ -9,7 +9,6 @@ import click
 
 from clunk.cli import cells, tables, terminal
 from clunk.cli.options import PATH, at_option, json_option, lash_option, set_option, workers_option
-from clunk.sweeping import progress
 
 
 @click.command()
@@ -60,8 +59,7 @@ def sensitivity(
     point = sobol.operating_point(replace_values(study, cells.cell_values(study, at, all_needed=False)))
     terminal.warm_up(point, "drawn")
     began = time.perf_counter()
-    with progress.shown(0, "runs") as show:
-        result = sobol.sensitivity(point, of=quantities, lash=lash, workers=workers, progress=show)
+    result = sobol.sensitivity(point, of=quantities, lash=lash, workers=workers, progress=True)
     seconds = time.perf_counter() - began
     tables.tell(result, as_json)
     click.echo(f"{result.runs:,} runs in {seconds:.1f} s ({result.runs / seconds:,.0f} runs/s)", err=True)

@@ -1,7 +1,4 @@
-"""Figures of analyses: a fit's ensemble and predicted labels, Sobol indices, a front of optima.
-
-The maps before and after a fit are in `comparisons`.
-"""
+"""Figures of analyses: a fit's ensemble and predicted labels, Sobol indices, a front of optima."""
 
 from __future__ import annotations
 
@@ -18,6 +15,7 @@ from clunk.analysis.fitted import Fitted
 from clunk.analysis.optimisation import Front
 from clunk.analysis.sobol import CONFIDENCE, Sensitivity
 from clunk.plot import style
+from clunk.plot.comparisons import measured_on_maps
 from clunk.study.arrays import Floats
 from clunk.study.parameters import nominal_value, quantity
 
@@ -66,12 +64,9 @@ def _draw_distribution(ax: Axes, fitted: Fitted, k: int, draws: Floats) -> None:
     prior, edges = fitted.priors[k], np.histogram_bin_edges(draws, _BINS)
     shares = np.linspace(0.0, 1.0, 2001)[1:-1]
     before = prior.quantiles(shares, nominal_value(fitted.study, prior.parameter))
-    filled, dashed = (
-        {"fill": True, "color": _FIRST, "alpha": 0.5},
-        {"color": style.INK, "linestyle": "--", "linewidth": 0.8},
-    )
-    for values, look in ((draws, filled), (before, dashed)):
-        ax.stairs(np.histogram(values, edges)[0] / values.size, edges, **look)
+    ax.stairs(np.histogram(draws, edges)[0] / draws.size, edges, fill=True, color=_FIRST, alpha=0.5)
+    of_prior = np.histogram(before, edges)[0] / before.size
+    ax.stairs(of_prior, edges, color=style.INK, linestyle="--", linewidth=0.8)
     for bound in fitted.intervals()[k]:
         ax.axvline(bound, color=_FIRST, linewidth=0.8)
     ax.set_yticks([])
@@ -115,7 +110,11 @@ def label_probabilities(fitted: Fitted) -> Figure:
     return figure
 
 
-FIGURES: dict[str, Callable[[Fitted], Figure]] = {"ensemble": corner, "labels": label_probabilities}
+FIGURES: dict[str, Callable[[Fitted], Figure]] = {
+    "maps": measured_on_maps,
+    "ensemble": corner,
+    "labels": label_probabilities,
+}
 
 
 @style.styled()
@@ -148,8 +147,8 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     panels[0].set_ylim(len(parameters) - 0.5, -0.5)
     panels[-1].set_xlabel(f"Share of the variance, with {100 * CONFIDENCE:g} % intervals")
     notes = [style.swatch("alone (first-order index)", _FIRST), style.swatch("in all (total index)", _SECOND)]
-    at = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
-    line = ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in at)
+    point = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
+    line = ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in point)
     style.lay_out(figure, panels[0], sensitivity.study.title, line, notes)
     return figure
 

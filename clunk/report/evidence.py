@@ -13,7 +13,7 @@ from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import Study, replace_values
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.sweep import cell_count, sweep
 
 RATIOS = (1.0, 2.0, 5.0)  # of Figure 3.2
@@ -65,20 +65,12 @@ def map_studies(coarsen: int = 1) -> dict[str, Study]:
     return studies
 
 
-def run_maps(coarsen: int = 1, workers: int | None = None, progress: Progress | None = None) -> Maps:
-    """Run the sweeps of `map_studies`; `progress` gets the cells done and all cells."""
-    studies = map_studies(coarsen)
-    total = sum(cell_count(study) for study in studies.values())
-    done = 0
+def run_maps(coarsen: int = 1, workers: int | None = None, progress: bool | Progress = False) -> Maps:
+    """Run the sweeps of `map_studies`; progress : as of `clunk.sweep`, of each."""
     maps: Maps = {}
-    for name, study in studies.items():
-
-        def advance(cells: int, _total: int, before: int = done) -> None:
-            if progress is not None:
-                progress(before + cells, total)
-
-        maps[name] = sweep(study, workers=workers, progress=advance)
-        done += cell_count(study)
+    for name, study in map_studies(coarsen).items():
+        with reporting(progress, cell_count(study), study) as report:
+            maps[name] = sweep(study, workers=workers, progress=report)
     return maps
 
 

@@ -19,24 +19,17 @@ from clunk.simulation.linear import rigid_contact_thresholds
 from clunk.simulation.small_gap import SmallGap
 from clunk.study.errors import ClunkError
 from clunk.study.records import plain
-from clunk.sweeping.progress import Progress
-
-Job = tuple[str, Callable[[], Figure]]
 
 _NAMES = {"indentation": "IFM", "restitution": "RCM"}
 
 
-def save_all(
-    jobs: Sequence[Job], evidence: Evidence, claims: Sequence[Claim], directory: Path, progress: Progress | None = None
-) -> list[Path]:
+def save_all(evidence: Evidence, claims: Sequence[Claim], directory: Path) -> list[Path]:
     """Write the figures, the results files behind them and the claims into `directory`; return their paths."""
     directory.mkdir(parents=True, exist_ok=True)
     written = []
-    for k, (name, make) in enumerate(jobs):
+    for name, make in figures(evidence).items():
         written.append(directory / f"{name}.png")
         plot.save(make(), written[-1])
-        if progress is not None:
-            progress(k + 1, len(jobs))
     for name in MAPS:
         written.append(directory / f"{name}.h5")
         write_results(written[-1], evidence.maps[name])
@@ -71,7 +64,7 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
     write_text(path, text)
 
 
-def figures(e: Evidence) -> list[Job]:
+def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
     """Every figure of the report and of what bears on it: a file name's stem, and how to draw it."""
     thresholds = [float(ratio) for ratio in rigid_contact_thresholds(e.study)]
     maps = e.maps
@@ -82,20 +75,20 @@ def figures(e: Evidence) -> list[Job]:
     nominal, both = run("indentation"), [run(name) for name in _NAMES]
     all_runs = [run(name, ratio) for ratio in RATIOS for name in _NAMES]
     between = compare(maps["indentation"], maps["restitution"])
-    return [
-        ("figure_3_1", lambda: histories.history_figure([nominal], "angles")),
-        ("figure_3_2", lambda: histories.history_figure(all_runs, "backlash")),
-        ("figure_3_3", lambda: histories.closeup(both)),
-        ("figure_3_4", lambda: plot.draw(maps["indentation"], "regimes", thresholds)),
-        ("figure_3_4_restitution", lambda: plot.draw(maps["restitution"], "regimes", thresholds)),
-        ("figure_3_4_difference", lambda: comparisons.difference_map(maps["indentation"], between)),
-        ("figure_3_4_as_printed", lambda: plot.draw(maps["as_printed"], "regimes")),
-        ("figure_3_5", lambda: histories.small_gap(e.study.title, SmallGap.of(e.study))),
-        ("figure_3_6", lambda: histories.history_figure([run("indentation", until=1.5)], "acceleration")),
-        ("figure_3_7", lambda: plot.draw(maps["indentation"], "severity")),
-        ("figure_3_7_by_force", lambda: plot.draw(maps["by_force"], "severity")),
-        ("figure_3_7_velocity", lambda: plot.draw(maps["indentation"], "approach_velocity")),
-        ("figure_3_7_velocity_restitution", lambda: plot.draw(maps["restitution"], "approach_velocity")),
-        ("table_4_1", lambda: comparisons.experiment_map(maps["indentation"], e.measured)),
-        ("table_4_1_fitted", lambda: comparisons.measured_on_maps(e.fitted)),
-    ]
+    return {
+        "figure_3_1": lambda: histories.history_figure([nominal], "angles"),
+        "figure_3_2": lambda: histories.history_figure(all_runs, "backlash"),
+        "figure_3_3": lambda: histories.closeup(both),
+        "figure_3_4": lambda: plot.draw(maps["indentation"], "regimes", thresholds),
+        "figure_3_4_restitution": lambda: plot.draw(maps["restitution"], "regimes", thresholds),
+        "figure_3_4_difference": lambda: comparisons.difference_map(maps["indentation"], between),
+        "figure_3_4_as_printed": lambda: plot.draw(maps["as_printed"], "regimes"),
+        "figure_3_5": lambda: histories.small_gap(e.study.title, SmallGap.of(e.study)),
+        "figure_3_6": lambda: histories.history_figure([run("indentation", until=1.5)], "acceleration"),
+        "figure_3_7": lambda: plot.draw(maps["indentation"], "severity"),
+        "figure_3_7_by_force": lambda: plot.draw(maps["by_force"], "severity"),
+        "figure_3_7_velocity": lambda: plot.draw(maps["indentation"], "approach_velocity"),
+        "figure_3_7_velocity_restitution": lambda: plot.draw(maps["restitution"], "approach_velocity"),
+        "table_4_1": lambda: comparisons.experiment_map(maps["indentation"], e.measured),
+        "table_4_1_fitted": lambda: comparisons.measured_on_maps(e.fitted),
+    }
