@@ -152,17 +152,6 @@ def test_breakpoints_that_cross_are_refused_though_each_value_is_sound():
         list(batches.prepare_many(study, keys, crossed))
 
 
-def test_kinds_of_drivelines_are_told_apart():
-    study = study_from_text(reference.config_of(Plant(), method="exact"))
-    points = {
-        "lash.ratio": np.array([1.0, 2.0, 1.0, 2.0]),
-        "driveline.inertias[3]": np.array([0.002, 0.002, 0.003, 0.004]),
-        "driveline.shafts[2].stiffness": np.array([31.3, 0.0, 20.0, 30.0]),
-        "impacts.sticking_time": np.array([4e-3, 4e-3, 5e-3, 4e-3]),
-    }
-    same_as_alone(study, points)
-
-
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, 1e31])
 def test_the_first_value_that_is_not_allowed_is_refused_as_if_alone(value):
     study = study_from_text(reference.config_of(Plant(), method="exact"))

@@ -114,25 +114,23 @@ def browser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def running(study, tmp_path_factory):
-    """`clunk explore` of a stored 201 x 201 map, its address and the moment of its start."""
+    """`clunk explore` of a stored 201 x 201 map, and its address."""
     file = tmp_path_factory.mktemp("explored") / "map.h5"
     write_results(file, sweep(study))
-    began = time.perf_counter()
     # -P: the package that is installed, as in this process, whose kernels are compiled
     command = [sys.executable, "-P", "-c", "from clunk.cli import main; main()"]
     command += ["explore", str(file), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        yield process, process.stdout.readline().strip(), began
+        yield process, process.stdout.readline().strip()
         process.kill()
 
 
 @pytest.fixture(scope="module")
 def page(browser, running):
     """The page with its first map and run."""
-    _, url, began = running
+    _, url = running
     browser.open(url)
     browser.wait_for("legend", "DS(1)SS(1)")
-    print(f"\nfrom the command to the first map: {time.perf_counter() - began:.2f} s")
     browser.wait_for("header", "severity Q")
     return browser
 
@@ -151,12 +149,10 @@ def cell(ratio, backlash):
 class TestPage:
     def test_a_click_shows_the_run_that_clunk_simulate_makes_of_the_cell(self, page, study):
         for ratio, backlash in CELLS:
-            watch(page)
             page.point(ratio, backlash, click=True)
             page.wait_for(
                 "header", f"σr = {ratio:g}, φθ = {backlash:g} degrees", *expected(study, cell(ratio, backlash))
             )
-            print(f"from a click to the run on the screen: {watched(page):.0f} ms")
         events = simulate(replace_values(study, cell(*CELLS[-1]))).event_table()
         page.wait_for("events", *events[1], *events[-1][:2])
 
@@ -195,12 +191,8 @@ class TestPage:
         page.point(5.0, 6.0, click=True)
         page.wait_for("header", "σr = 5, φθ = 6 degrees")
         for damping in (60.0, 47.0):
-            watch(page)
             page.driver.execute_script("model('number lash.contact.damping').value = arguments[0]", damping)
             page.wait_for("header", f"lash.contact.damping = {damping:g}")
-            page.wait(lambda: "the full map" in page.driver.execute_script("return window.maps"), message="no map")
-            for name, milliseconds in page.driver.execute_script("return window.maps").items():
-                print(f"from a number to {name}: {milliseconds:.0f} ms")
         numbers = {"lash.contact.damping": damping}
         page.wait_for("header", "lash.contact.damping = 47", *expected(study, cell(5.0, 6.0) | numbers))
         changed = sweep(replace_values(study, numbers), boundaries=False)
@@ -262,7 +254,7 @@ class TestPage:
         assert simulate(config).label == "DS(1)SS(1)"
 
     def test_nothing_came_from_another_host_and_nothing_went_wrong(self, page, running):
-        _, url, _ = running
+        _, url = running
         requests = page.requests()
         assert len(requests) > 3
         assert all(each.startswith(url.rsplit("/", 2)[0] + "/") for each in requests)
@@ -270,33 +262,10 @@ class TestPage:
 
     @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
     def test_after_ctrl_c_the_page_says_that_the_explorer_has_ended(self, page, running):
-        process, *_ = running
+        process, _ = running
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
         page.wait(lambda: page.driver.find_elements("id", "ended"), message="nothing is said")
-
-
-def watch(page):
-    """Note when the run and the maps that follow are on the screen, in ms after a click or a change."""
-    page.driver.execute_script(
-        """
-        window.began = performance.now();
-        window.maps = {};
-        window.ended = null;
-        if (!window.watches) {
-          window.watches = true;
-          const begin = () => { window.began = performance.now(); window.ended = null; };
-          window.addEventListener("pointerdown", begin, true);
-          const drawn = (note) => () => requestAnimationFrame(() => setTimeout(() => note(performance.now() - began)));
-          model("header").properties.text.change.connect(drawn((ms) => { window.ended ??= ms; }));
-          model("status").properties.text.change.connect(() => {
-            const text = model("status").text;
-            const name = text.includes("in no file") ? "the full map" : "the coarse map";
-            if (name[4] == "f" || text.includes("every few")) drawn((ms) => { window.maps[name] = ms; })();
-          });
-        }
-        """
-    )
 
 
 def show_severity(page):
@@ -308,11 +277,6 @@ def show_severity(page):
     width = None
     while width != (width := page.driver.execute_script(narrow)):
         time.sleep(0.1)
-
-
-def watched(page):
-    page.wait(lambda: page.driver.execute_script("return window.ended"), message="no change")
-    return page.driver.execute_script("return window.ended")
 
 
 def test_a_title_of_markup_is_shown_as_text(browser):

@@ -5,7 +5,6 @@ pytest -m slow tests/test_cache.py        every kind of damage; each compiles fo
 
 import importlib.util
 import os
-import shutil
 import stat
 import subprocess
 import sys
@@ -122,18 +121,6 @@ def whole(tmp_path_factory):
     return directory, simulate("XDG_CACHE_HOME", directory)[0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_run_survives_a_damaged_cache(tmp_path, whole, damage):
-    directory, expected = whole
-    shutil.copytree(directory, tmp_path / "cache")
-    damage(tmp_path / "cache")
-    assert simulate("XDG_CACHE_HOME", tmp_path / "cache")[0] == expected
-    out, err = simulate("XDG_CACHE_HOME", tmp_path / "cache")
-    assert out == expected
-    assert "compiling" not in err
-
-
 @pytest.fixture
 def unwritable(tmp_path):
     """A directory that takes no files; root may write anywhere but among the kernel's own."""
@@ -151,14 +138,6 @@ def unwritable(tmp_path):
 @pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
 def test_an_unwritable_cache_is_done_without(unwritable, variable):
     simulate(variable, unwritable)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
-def test_a_cache_that_is_a_file_is_done_without(tmp_path, variable):
-    (tmp_path / "cache").write_text("not a directory")
-    simulate(variable, tmp_path / "cache")
-    assert (tmp_path / "cache").read_text() == "not a directory"
 
 
 HIDING = """

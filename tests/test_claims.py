@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import reference
 
 from clunk.report import claims, reproduction
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import Evidence, run_maps
 from clunk.simulation.linear import (
-    levels_of_excursions,
     one_mode_thresholds,
     periods_in_envelope,
     rigid_contact_thresholds,
@@ -169,20 +169,6 @@ def test_periods_in_the_envelope_pass_a_half_at_each_threshold(nominal):
         assert periods_in_envelope(nominal, float(ratio)) == pytest.approx(n - 0.5, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("extremes", "levels"),
-    [
-        ([-0.7, 0.5, -0.3, 0.2, -0.1], [1 / 0.7, 1 / 0.3, 1 / 0.1]),  # one mode: each minimum adds one
-        ([-0.735, -0.5, -0.909, -0.4, -0.870], [1 / 0.909, 1 / 0.870, 1 / 0.735]),  # the deepest first
-        ([-0.9, -0.85, -0.8], [1 / 0.9]),  # two dips without a way back between them are one
-        ([-0.9, 0.1, -0.9], [1 / 0.9, 1 / 0.9]),
-        ([0.3, 0.5, 0.4], []),
-    ],
-)
-def test_impacts_are_counted_as_excursions_and_not_as_minima(extremes, levels):
-    assert levels_of_excursions(np.array(extremes), 4) == pytest.approx(levels, rel=1e-12)
-
-
 def test_thresholds_of_random_chains_are_where_the_locked_model_gains_an_impact():
     rng = np.random.default_rng(5)
     checked = 0
@@ -225,12 +211,8 @@ def test_thresholds_follow_the_torque_that_is_swept(nominal):
 
 
 def test_a_driveline_whose_load_does_not_reach_the_lash_has_no_thresholds():
-    study = study_from_text(
-        '[driveline]\ninertias = [1.0, 1.0]\nshafts = [{between = [1, "ground"], stiffness = 10.0, damping = 0.1}]\n'
-        "[lash]\nbetween = [1, 2]\nbacklash_deg = 1.0\nradius = 1.0\ncontact = {stiffness = 1e4, damping = 1.0}\n"
-        "[load]\non = 1\nstatic_torque = -1.0\nratio = 5.0\n"
-    )
-    assert rigid_contact_thresholds(study).size == 0
+    plant = reference.Plant((1.0, 1.0), ((1, "ground", 10.0, 0.1),), (1, 2), acceleration_of=1)
+    assert rigid_contact_thresholds(study_from_text(reference.config_of(plant))).size == 0
 
 
 def test_an_impact_appears_at_the_exact_threshold_as_the_gap_vanishes(nominal):

@@ -413,16 +413,6 @@ def test_a_starter_taken_for_a_file_name_is_answered_with_the_command(command, h
     assert [path.name for path in here.iterdir()] == ["car.toml"]
 
 
-def test_a_slice_s_picture_is_said_to_replace_another(command, small, here):
-    command("sweep", small)
-    at = ("--at", "load.ratio=4")
-    (here / "results/small-severity.png").write_bytes(b"of the whole map")
-    for options, says in (((), True), (("-o", "slice.png"), False)):
-        code, _, err = command("plot", "results/small.h5", *at, *options)
-        assert code == 0
-        assert ("small-severity.png is replaced" in " ".join(err.split())) == says
-
-
 # (config, what the message must name); all that a config can have wrong is in test_config
 BROKEN = [
     (SMALL.replace("preset", "prest"), "preset"),

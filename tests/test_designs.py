@@ -4,15 +4,12 @@ import json
 
 import numpy as np
 import pytest
-import xarray
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
 from clunk.analysis.comparison import compare
 from clunk.plot.drawing import scatter
-from clunk.plot.layers import Layers
-from clunk.plot.maps import shades_of
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
@@ -20,7 +17,7 @@ from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.records import plain, text_of
 from clunk.study.study import replace_values
-from clunk.sweeping.sweep import Job, cell_count, sweep
+from clunk.sweeping.sweep import cell_count, sweep
 
 BASE = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\n'
 ZIP = f"""{BASE}
@@ -132,14 +129,6 @@ class TestCells:
                 for name in IMPACT_QUANTITIES:
                     np.testing.assert_array_equal(getattr(part, name), getattr(whole, name), strict=True, err_msg=name)
 
-    def test_failed_cells_are_run_again(self):
-        study = study_from_text(SAMPLE, "x", ["solver.max_events=12"])
-        results = sweep(study)
-        failed = results.counts()["failed"]
-        assert 0 < failed < 32
-        mended = Job(study.model_copy(update={"solver": study_from_text(SAMPLE).solver}), earlier=results).run()
-        assert equal(mended, sweep(study_from_text(SAMPLE)))
-
 
 class TestSlices:
     def test_impacts_follow_their_cells(self, four):
@@ -183,21 +172,6 @@ class TestFiles:
         for mine, theirs in zip(results.coordinates, again.coordinates, strict=True):
             assert np.array_equal(mine.values, theirs.values)
             assert (mine.name, mine.symbol, mine.unit) == (theirs.name, theirs.symbol, theirs.unit)
-
-    def test_xarray_selects_from_four_axes(self, four, tmp_path):
-        write_results(tmp_path / "four.h5", four)
-        with xarray.open_dataset(tmp_path / "four.h5", engine="h5netcdf") as data:
-            assert data["severity"].dims == (
-                "load_ratio",
-                "lash_backlash_deg",
-                "lash_contact_stiffness",
-                "driveline_shafts_1__damping",
-            )
-            chosen = data.sel(lash_contact_stiffness=4e5, driveline_shafts_1__damping=0.1, method="nearest")
-            part = four.at({"lash.contact.stiffness": 4e5, "driveline.shafts[1].damping": 0.1})
-            np.testing.assert_array_equal(chosen["severity"], part.severity[:, :, 0, 0])
-            hardest = data["severity"].sel(load_ratio=10.0).max().item()
-            assert hardest == four.severity[-1].max()
 
 
 class TestComparison:
@@ -351,18 +325,6 @@ class TestFigures:
         assert {text.get_text() for panel in panels for text in panel.texts} | set(noted) >= set(four.labels)
         limits = {(panel.get_xlim(), panel.get_ylim()) for panel in panels}
         assert limits == {((0.0, 10.0), (0.0, 15.0))}
-
-    def test_panels_share_the_scale_of_a_quantity(self, four):
-        part = four.at({"driveline.shafts[1].damping": 0.04})
-        figure = plot.draw(part, "severity", facets=["lash.contact.stiffness"])
-        slices = [part.at({"lash.contact.stiffness": value}) for value in part.axes[2].values]
-        panels = [Layers.of(each, 2, "severity") for each in slices]
-        shades = shades_of(panels)
-        assert shades.norm.vmax == part.severity.max()
-        for ax, layers in zip(figure.axes, panels, strict=False):
-            picture = next(each for each in ax.collections if each.get_gid() == "cells")
-            corner = np.asarray(picture.get_array())[0, 0] / 255.0  # of the first cell
-            np.testing.assert_allclose(corner, shades.to_rgba(layers.values[0, 0])[:3], atol=0.005)  # 8 bits
 
     def test_of_many_values_of_a_facet_evenly_spaced_ones_are_drawn_and_that_is_told(self, four):
         figure = plot.draw(four, "touches", facets=["load.ratio", "driveline.shafts[1].damping"])

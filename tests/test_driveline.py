@@ -83,25 +83,10 @@ def test_the_contact_period_is_that_of_the_two_inertias_at_the_lash(nominal):
     assert driveline.contact_period == pytest.approx(1.0 / driveline.modes(closed=True).frequency[-1], rel=0.01)
 
 
-def single(between='[1, "ground"]', shafts="shafts = []", torque=(-6.0, -1.0)):
-    return study_from_text(
-        f"""
-        [driveline]
-        inertias = [0.002]
-        {shafts}
-        [lash]
-        between = {between}
-        backlash_deg = 1.0
-        radius = 0.1
-        [lash.contact]
-        stiffness = 1e5
-        damping = 50.0
-        [load]
-        on = 1
-        initial_torque = {torque[0]}
-        final_torque = {torque[1]}
-        """
-    )
+def single(between=(1, "ground")):
+    """The study of an inertia with nothing but a lash to ground."""
+    plant = reference.Plant((0.002,), (), between, 1e3, 0.5, np.deg2rad(1.0), acceleration_of=1)
+    return study_from_text(reference.config_of(plant))
 
 
 class TestLashToGround:
@@ -110,7 +95,7 @@ class TestLashToGround:
             2 * np.pi * np.sqrt(0.002 / 1e3), rel=1e-12
         )
 
-    @pytest.mark.parametrize(("between", "sign"), [('[1, "ground"]', 1), ('["ground", 1]', -1)])
+    @pytest.mark.parametrize(("between", "sign"), [((1, "ground"), 1), (("ground", 1), -1)])
     def test_the_order_of_its_ends_is_the_sign_of_q(self, between, sign):
         """The same motion; only which side of the gap is called positive differs."""
         driveline = Driveline.from_study(single(between))
@@ -124,29 +109,9 @@ class TestLashToGround:
 
 def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():
     """The lash hangs off a grounded inertia: whatever the torque, nothing presses its flanks together."""
-    study = study_from_text(
-        """
-        [driveline]
-        inertias = [0.01, 0.002]
-        [[driveline.shafts]]
-        between = [1, "ground"]
-        stiffness = 30.0
-        damping = 0.1
-        [lash]
-        between = [1, 2]
-        backlash_deg = 1.0
-        radius = 0.1
-        [lash.contact]
-        stiffness = 1e5
-        damping = 50.0
-        [load]
-        on = 1
-        static_torque = -1.0
-        ratio = 5.0
-        """
-    )
+    plant = reference.Plant((0.01, 0.002), ((1, "ground", 30.0, 0.1),), (1, 2), acceleration_of=1)
     with pytest.raises(ClunkError, match="initial flank"):
-        simulate(study)
+        simulate(study_from_text(reference.config_of(plant)))
 
 
 @pytest.mark.parametrize("values", [[0.0] * 7, [0.0] * 7 + [np.nan], [np.inf] + [0.0] * 7, [[0.0] * 8]])

@@ -87,45 +87,6 @@ def test_flanks_that_rejoin_regain_what_their_overlap_stores(ratio, backlash, da
     assert max(energy.dropped, energy.regained) > 100 * CLOSED * energy.largest  # the balance would notice
 
 
-@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
-def test_a_ball_between_two_walls_balances(contact):
-    """One inertia, no shaft: the load drives it to and fro, and nothing but the contact takes anything."""
-    ball = f"""
-[driveline]
-inertias = [0.5]
-shafts = []
-[lash]
-between = [1, "ground"]
-backlash_deg = 60.0
-radius = 1.0
-[lash.contact]
-stiffness = 1e4
-damping = 2.0
-{contact}
-[load]
-on = 1
-initial_torque = 5.0
-final_torque = -5.0
-[solver]
-step = 2e-5
-end_time = 10.0
-"""
-    trajectory = simulate(study_from_text(ball))
-    energy = balance(trajectory)
-    assert trajectory.touches > 0
-    assert energy.relative_residual < CLOSED
-    assert energy.damped_in_shafts == ()
-    assert energy.work > 0.0
-
-
-def test_a_driveline_at_rest_has_nothing_to_balance():
-    energy = balance(run(CONTACTS["separation by gap"], ratio=0.0))
-    assert energy.work == pytest.approx(0.0, abs=1e-15)
-    assert energy.damped == pytest.approx(0.0, abs=1e-15)
-    assert energy.stored_after == pytest.approx(energy.stored_before, rel=1e-14)
-    assert energy.relative_residual < 1e-14
-
-
 def test_the_terms_are_those_of_an_independent_integration():
     """Work and dissipation integrated beside the motion, phase by phase, by DOP853 from the recorded states."""
     trajectory = run(CONTACTS["separation by force"], end_time=0.3)

@@ -29,12 +29,11 @@ from clunk.explorer.controls import adjustable, slider_range
 from clunk.explorer.mapfigure import MapFigure
 from clunk.explorer.message import Message
 from clunk.explorer.newest import Newest
-from clunk.explorer.runfigures import RunFigures, Shown, thinned
+from clunk.explorer.runfigures import thinned
 from clunk.explorer.server import explore
 from clunk.explorer.subject import Subject, of_one_cell
 from clunk.explorer.workbench import Workbench
 from clunk.plot.style import colour_of
-from clunk.results.quantities import quantity_of
 from clunk.study.config import study_from_text
 from clunk.study.parameters import located
 
@@ -180,14 +179,6 @@ class TestTolerances:
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) == pytest.approx(100.0, abs=0.5)  # three figures of each
 
-    @pytest.mark.parametrize("quantity", ["double_sided", "severity", "severity_95"])
-    def test_its_probabilities_and_quantiles_have_colours_and_the_largest_is_named(self, subject, quantity):
-        changes, described = picture(subject.results, quantity), quantity_of(quantity, subject.results)
-        largest = np.nanmax(described.of_runs(subject.results))
-        assert changes["shades"]["low"] <= largest <= changes["shades"]["high"]
-        assert changes["bar"]["title"] == subject.results.plot_label(described)
-        assert f"largest: {largest:.6g} at " in changes["legend"]["text"]
-
 
 class TestPictures:
     def test_pixels_have_the_colours_of_the_labels_of_their_cells(self, subject):
@@ -216,19 +207,6 @@ class TestRuns:
         assert "severity Q" in run["header"]["text"]
         assert run["events"]["text"].count("<tr>") > 3
         assert not [changes for changes in sent if "header" in changes and changes is not run]
-
-    @pytest.mark.parametrize(("ratio", "backlash"), [(5.0, 6.0), (10.0, 2.0), (10.0, 6.0)])
-    def test_each_q_has_an_arrow_and_no_two_texts_overlap(self, subject, ratio, backlash):
-        history = subject.run({"load.ratio": ratio, "lash.backlash_deg": backlash}, {})
-        figures = RunFigures(0.1)
-        figures.show(Shown((ratio, backlash), {}, {}, history, ""), [], 0, "")
-        (arrows,) = (properties["data"] for properties in figures.message.source.data["arrows"])
-        assert len(arrows["x"]) == len(history.impacts)
-        written = np.sort([x for x, text in zip(arrows["x"], arrows["text"], strict=True) if text])
-        span = history.time[-1] - history.time[0]
-        widest = 70.0 / 536.0  # pixels of "Q12 = 12345", and of a panel where the page is 1280 wide
-        assert written.size
-        assert (np.diff(written) >= 0.99 * widest * span).all()
 
 
 class TestControls:

@@ -17,7 +17,7 @@ from clunk.core.exact.flows import BLOCK, CROSS, JERK, SPANS, TERMS
 from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
-from clunk.core.tables import ACCELERATION, GAP, INPUTS, TORQUE_RATE
+from clunk.core.tables import ACCELERATION, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
@@ -65,13 +65,6 @@ def expand(series, work, size, shortest, sides, rest, c):
     sign, shift = vectors.load(sides, 0), vectors.load(sides, 1)
     origin = curves.Origin(vectors.load(rest, 0), vectors.load(rest, 1), vectors.load(rest, 2), vectors.load(rest, 3))
     taylor.expand(series, work, size, vectors.splat(shortest), sign, shift, origin, c)
-
-
-@compiled
-def find_longest(shortest, guards, rest, results):
-    h, k = curves.longest(vectors.splat(shortest), guards, 0, 5, 2, vectors.load(rest, 0), SPANS)
-    vectors.store(results, 0, h)
-    vectors.store(results, 1, k)
 
 
 @compiled
@@ -320,16 +313,6 @@ def test_a_span_is_the_matrix_exponential(flow):
         )
 
 
-def test_a_part_of_the_shortest_span_is_too(flow):
-    x, u = flow.starts()
-    for parts in dealt(0.0, 1e-9, 0.3, 1.0):
-        work = flow.enter_lanes(x, u)
-        flow.move(work, parts)
-        exact = flow.moved(x, u, parts * flow.span[0])
-        scale = flow.scale(x, exact, flow.origin[0] @ u)
-        assert np.all(np.abs(flow.leave(work, u, parts * flow.span[0]) - exact) <= 1e-12 * scale)
-
-
 def test_value_slope_and_curvature_are_the_functionals(flow):
     """At entry and after a while, against C A^k (A x + B u) of the state."""
     x, u = flow.starts()
@@ -362,17 +345,6 @@ def drifts(flow):
     """(C/2, 1) whether a pair is a drift, whose displacement has no bound."""
     cross = flow.propagator[SPANS - 1, :, CROSS].reshape(-1, 2, BLOCK)
     return ((cross[:, 0] != 0.0) & (cross[:, 1] == 0.0) & flow.is_modal).reshape(-1, 1)
-
-
-def test_the_gap_coordinate_is_no_difference_of_large_numbers(flow):
-    """But a sum like displacements, and velocities over the fastest rate: no drift is divided by its slow decay."""
-    if not flow.is_modal:
-        pytest.skip("knows no modes")
-    x, _ = flow.starts()
-    y = flow.coordinates.T @ x
-    terms = np.abs(flow.weights(GAP)[0][:, None] * y).sum(axis=0)
-    sizes = np.abs(x) * np.repeat([1.0, 1.0 / flow.pace], flow.size // 2)[:, None]
-    assert np.all(terms <= 3.0 * sizes.sum(axis=0))
 
 
 def test_the_tabulated_decay_bounds_the_amplitude(flow):
@@ -449,36 +421,6 @@ def test_where_low_is_positive_a_guard_stays_so():
             value, least = terms.sum(axis=0), np.minimum(guard[0], found[0])
             assert np.all((value >= least - 1e-14 * np.abs(terms).sum(axis=0))[positive])
     assert kept > 250
-
-
-def test_the_longest_span_is_that_of_a_plain_search():
-    """Every span, and none, is the longest in some lanes. Where a guess is not concave, the longest may be missed."""
-    random, shortest = np.random.default_rng(1), 0.25
-    ladder = shortest * np.repeat(2.0 ** np.arange(SPANS // 2), 2) * np.tile([1.0, 1.5], SPANS // 2)
-    met = set()
-    for concave in [True, False] * 300:
-        guards = np.vstack((random_guards(random), random_guards(random)))
-        guards[[1, 6]] = np.where(random.uniform(size=WIDTH) < 0.5, np.abs(guards[[1, 6]]), guards[[1, 6]])
-        if concave:
-            guards[[2, 7]] = -np.abs(guards[[2, 7]])
-        rest = shortest * 2.0 ** random.uniform(-1.0, 18.0, WIDTH)
-        found = np.zeros((2, WIDTH))
-        find_longest(shortest, guards, rest, found)
-        passes = []
-        for h in ladder:
-            guesses = np.zeros((2, 2, WIDTH))
-            find_low(guards[:5], np.full(WIDTH, h), guesses[0])
-            find_low(guards[5:], np.full(WIDTH, h), guesses[1])
-            passes.append(np.all(guesses[:, 1] > 0.0, axis=0) & (h <= rest))
-        if concave:
-            expected = np.where(np.any(passes, axis=0), SPANS - 1 - np.argmax(passes[::-1], axis=0), -1)
-            assert np.array_equal(found[1], expected)
-        number = found[1].astype(int)
-        assert np.array_equal(number >= 0, passes[0])
-        assert np.all(np.array(passes)[number, range(WIDTH)][number >= 0])
-        assert np.array_equal(found[0][number >= 0], ladder[number[number >= 0]])
-        met |= set(number)
-    assert met == set(range(-1, SPANS))
 
 
 def random_curves(random):

@@ -1,32 +1,24 @@
 """Coulomb friction: known answers, beside the independent reference, and known special cases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.agreement import exact
-from helpers.reference import Plant, Shaft, table
+from helpers.reference import Plant, Shaft, sine, step, table
 
 from clunk.core.events import STAGE
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import load_study, study_from_text
+from clunk.study.config import load_study
 from clunk.study.errors import ClunkError
 from clunk.study.problems import ConfigError
 from clunk.study.study import replace_values
 
 METHODS = {"exact": ['solver.method="exact"'], "rk4": ['solver.method="rk4"', "solver.step=1e-4"]}
-# An inertia with a lash of its own, which never closes, so that there is one.
-OPEN_LASH = """
-[lash]
-between = [1, "ground"]
-backlash_deg = 90.0
-radius = 0.1
-[lash.contact]
-stiffness = 1e4
-damping = 0.0
-[impacts]
-acceleration_of = 1
-"""
+# With a lash of its own at inertia 1, which never closes, so that there is one.
+OPEN_LASH = Plant(lash=(1, "ground"), backlash=np.pi / 2, before=0.0, after=0.0, acceleration_of=1)
 
 
 def nominal(*overrides):
@@ -43,29 +35,9 @@ def changes(run):
 def test_an_oscillator_is_that_of_siconos(method):
     """1 kg m2 on 1 N m/rad, friction 1, from 12 rad and 6 rad/s: circles about -1 and 1 in turn, each half period
     shorter by 2 F/k (siconos-tutorials, FrictionOscillator); its first turn and its rest are stored too."""
-    text = f"""
-[driveline]
-inertias = [1.0, 1.0]
-[[driveline.shafts]]
-between = [2, "ground"]
-stiffness = 1.0
-damping = 0.0
-friction = 1.0
-[[driveline.shafts]]
-between = [1, "ground"]
-stiffness = 1.0
-damping = 0.0
-{OPEN_LASH}
-[load]
-on = 1
-initial_torque = 0.0
-final_torque = 0.0
-[solver]
-method = "{method}"
-step = 1e-3
-end_time = 30.0
-"""
-    run = simulate(study_from_text(text), initial_state=[0.0, 12.0, 0.0, 6.0])
+    rubbing = Shaft(2, "ground", 1.0, 0.0, (), 1.0)
+    plant = replace(OPEN_LASH, inertias=(1.0, 1.0), shafts=(rubbing, (1, "ground", 1.0, 0.0)))
+    run = exact(plant, [0.0, 12.0, 0.0, 6.0], 30.0, method, step=1e-3)
     times, states = changes(run)
     radius, phase = np.hypot(13.0, 6.0), np.arctan2(6.0, 13.0)
     rounding = 1e-11 if method == "exact" else 1e-9  # of rk4: h⁴ t/120 with h = 1e-3, and nothing else
@@ -85,54 +57,23 @@ end_time = 30.0
 def test_a_clutch_and_a_brake_are_those_of_modelica(method):
     """Modelica Standard Library, Mechanics.Rotational.Examples.Friction; its stored results are good to some 1e-5."""
 
-    def study(profile, brake, end_time):
-        return study_from_text(f"""
-[driveline]
-inertias = [1.0, 1.0, 0.05, 1.0]
-[[driveline.shafts]]
-between = [2, 3]
-stiffness = 0.0
-damping = 0.0
-friction = 80.0
-[[driveline.shafts]]
-between = [3, 4]
-stiffness = 160.0
-damping = 1.0
-[[driveline.shafts]]
-between = [4, "ground"]
-stiffness = 0.0
-damping = 0.0
-friction = {brake}
-[[driveline.shafts]]
-between = [1, "ground"]
-stiffness = 1.0
-damping = 0.0
-{OPEN_LASH}
-[load]
-on = 2
-step_time = 0.0
-initial_torque = 0.0
-final_torque = 0.0
-{profile}
-[solver]
-method = "{method}"
-step = 1e-4
-end_time = {end_time}
-""")
+    def driveline(brake, profile):
+        clutch = Shaft(2, 3, 0.0, 0.0, (), 80.0), Shaft(3, 4, 160.0, 1.0), Shaft(4, "ground", 0.0, 0.0, (), brake)
+        shafts = *clutch, Shaft(1, "ground", 1.0, 0.0)
+        return replace(OPEN_LASH, inertias=(1.0, 1.0, 0.05, 1.0), shafts=shafts, loaded=2, profile=profile)
 
-    sine = f'profile = "sine"\namplitude = 200.0\nfrequency = {50.0 / np.pi!r}'
-    swung = simulate(study(sine, 0.0, 0.5), initial_state=[0.0] * 5 + [100.0, 90.0, 90.0])
+    swung = exact(driveline(0.0, sine(200.0, 50.0 / np.pi)), [0.0] * 5 + [100.0, 90.0, 90.0], 0.5, method)
     times, _ = changes(swung)
     assert times == pytest.approx([0.0067797090, 0.0593400564, 0.1092894952], abs=2e-6)
     if method == "exact":
         assert times[0] == pytest.approx(0.0067797089, abs=1e-10)  # closed form
-    history = sample(swung, step=0.5, until=0.5)
+    history = sample(swung, step=0.5, until=0.6)
     state = np.concatenate([history.angle[-1], history.velocity[-1]])
     assert history.after_step[-1] == 0.5
-    later = simulate(study("", 800.0, 2.5), initial_state=state)
+    later = exact(driveline(800.0, step()), state, 2.5, method)
     times, _ = changes(later)
     assert 0.5 + times == pytest.approx([0.5342486454, 0.6406138053, 1.6636397837], abs=2e-5)
-    final = sample(later, step=2.5, until=2.5).velocity[-1]
+    final = sample(later, step=2.5, until=2.6).velocity[-1]
     assert final[1] == pytest.approx(2.289891, abs=3e-5)
     assert final[3] == pytest.approx(0.0, abs=1e-9)  # the brake holds
 
@@ -189,14 +130,8 @@ def test_three_that_hold_two_inertias_give_way_where_that_is_easiest(frictions, 
     """
     one, other = frictions
     rubbing = (Shaft(1, "ground", 0.0, 0.0, (), one), Shaft(2, "ground", 0.0, 0.0, (), other))
-    plant = Plant(
-        inertias=(1.0, 1.0),
-        shafts=(*rubbing, Shaft(1, 2, 0.0, 0.0, (), 1.5)),
-        lash=(1, "ground"),
-        backlash=6.0,
-        acceleration_of=1,
-        profile=table((0.0, 1.0), (0.0, 10.0)),
-    )
+    shafts = *rubbing, Shaft(1, 2, 0.0, 0.0, (), 1.5)
+    plant = replace(OPEN_LASH, inertias=(1.0, 1.0), shafts=shafts, profile=table((0.0, 1.0), (0.0, 10.0)))
     times, _ = changes(exact(plant, np.zeros(4), 0.4, method))
     gives_way = times[times > 0.0][0]  # at 0 all of them stick
     assert gives_way == pytest.approx(min(one + 1.5, one + other) / 10.0, abs=1e-9)

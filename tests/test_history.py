@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 import pytest
-from matplotlib.text import Text
 
 from clunk.plot import PlotError, histories
 from clunk.plot.histories import small_gap
@@ -136,17 +135,6 @@ def test_load_step_is_seen_from_both_sides(overrides):
     assert sampled.torque[at - 1 : at + 1].tolist() == [-6.0, -1.0]
     assert sampled.acceleration[at, 0] == pytest.approx(5.0 / 0.024)  # the torque that goes is no longer balanced
     assert np.all(sampled.torque[at:] == -1.0)
-
-
-@pytest.mark.parametrize("step", [1e-4, 7.3e-4, 0.05])
-def test_samples_are_multiples_of_the_step_from_the_load_step(step):
-    sampled = sample(run(), step=step)
-    rows = rows_of_events(sampled)
-    between = np.delete(sampled.after_step, np.concatenate([rows, rows - 1]))
-    multiples = np.rint(between[1:-1] / step)
-    np.testing.assert_allclose(between[1:-1], multiples * step, rtol=0.0, atol=1e-12)
-    missed = np.setdiff1d(np.arange(-np.floor(0.1 / step) + 1, np.ceil(2.0 / step)), multiples)
-    np.testing.assert_allclose(np.isin(missed, [0.0]), True)  # an event took its place
 
 
 def test_complete_run_goes_on_to_rest():
@@ -300,26 +288,6 @@ def test_arrows_span_the_peak_to_peak_accelerations(overrides):
     np.testing.assert_allclose(spans, trajectory.impact_severity, rtol=1e-12)
     names = [text.get_text() for text in ax.texts if text.get_gid() == "severity"]
     assert [name.split(" = ")[0] for name in names] == [rf"Q$_\mathregular{{{i + 1}}}$" for i in range(len(spans))]
-
-
-def test_restitution_model_is_given_no_severity():
-    figure = histories.history_figure([recording("RCM", "restitution")])
-    texts = [text.get_text() for text in figure.findobj(Text)]
-    assert any("Q is not defined" in text for text in texts)
-    assert not any(text.startswith("Q$") for text in texts)
-
-
-@pytest.mark.parametrize("profile", ["ramp", "smooth", "lag", "pulse", "sine"])
-def test_the_torque_is_drawn_above(profile):
-    numbers = "duration=0.2", "time_constant=0.05", "amplitude=2.0", "frequency=8.0"
-    run = recording(profile, "gap", f"load.profile='{profile}'", *(f"load.{number}" for number in numbers))
-    ax = histories.history_figure([run]).axes[0]
-    assert ax.get_ylabel().startswith("Torque")
-    drawn = ax.lines[-1].get_ydata()
-    np.testing.assert_array_equal(drawn, run.torque)
-    low, high = ax.get_ylim()
-    assert low < drawn.min()
-    assert drawn.max() < high
 
 
 @pytest.mark.parametrize("model", ["gap", "restitution"])

@@ -1,11 +1,14 @@
 """Problems of others, with answers that nobody here wrote: closed forms and stored results, each with its source."""
 
 import math
+from dataclasses import replace
 
 import pytest
+from helpers import reference
+from helpers.agreement import exact
+from helpers.reference import Plant, sine
 from scipy.integrate import quad
 
-import clunk
 from clunk.core.events import OPENING, SEPARATION, TOUCH
 
 # Event times of the exact method are good to 1e-12 s; RK4 at a step h of these problems (|λ| <= 320 1/s) is off by some
@@ -13,26 +16,18 @@ from clunk.core.events import OPENING, SEPARATION, TOUCH
 METHODS = {"exact": 1e-12, "rk4": 1e-10}
 
 
-BACKLASH = """
-[driveline]
-inertias = [5.0]
-shafts = []
-[lash]
-between = [1, "ground"]
-backlash_deg = 45.0
-radius = 1.0
-[lash.contact]
-stiffness = 2e4
-damping = 50.0
-separation = "force"
-[load]
-on = 1
-initial_torque = 0.0
-final_torque = 0.0
-[solver]
-step = 1e-5
-end_time = 0.04
-"""
+BACKLASH = Plant(
+    inertias=(5.0,),
+    shafts=(),
+    lash=(1, "ground"),
+    contact_stiffness=2.0e4,
+    contact_damping=50.0,
+    backlash=math.pi / 4,
+    before=0.0,
+    after=0.0,
+    acceleration_of=1,
+    separation="force",
+)
 
 
 @pytest.fixture(params=METHODS)
@@ -54,8 +49,7 @@ def test_backlash_to_ground_with_spring_and_damper(method):
     -66.196495 rad/s and the other flank at 0.038023866 s.
     """
     inertia, stiffness, damping, gap = 5.0, 2.0e4, 50.0, math.pi / 4
-    study = clunk.study_from_text(BACKLASH, overrides=[f"solver.method={method}"])
-    run = clunk.simulate(study, initial_state=[math.pi / 2, 0.0])
+    run = exact(BACKLASH, [math.pi / 2, 0.0], 0.04, method, step=1e-5)
     decay, overlap = damping / (2.0 * inertia), math.pi / 2 - gap / 2
     omega = math.sqrt(stiffness / inertia - decay**2)
     # overlap e^(-σt) (cos ωt + σ/ω sin ωt), its slope, and c x + d x' = 0: tan ωt = -c ω / (c σ - d (σ² + ω²))
@@ -78,8 +72,7 @@ def test_backlash_to_ground_with_spring_and_damper(method):
 
 def test_the_same_with_flanks_that_part_where_the_gap_opens(method):
     """At the first zero of the overlap, 3π/8 e^(-σt) (cos ωt + σ/ω sin ωt)."""
-    study = clunk.study_from_text(BACKLASH, overrides=[f"solver.method={method}", "lash.contact.separation=gap"])
-    run = clunk.simulate(study, initial_state=[math.pi / 2, 0.0])
+    run = exact(replace(BACKLASH, separation="gap"), [math.pi / 2, 0.0], 0.04, method, step=1e-5)
     decay = 50.0 / (2.0 * 5.0)
     omega = math.sqrt(2.0e4 / 5.0 - decay**2)
     opens = (math.pi - math.atan2(omega, decay)) / omega
@@ -96,32 +89,17 @@ def test_spring_under_gravity_on_a_floor(method):
     flank of a gap of 2 rad, q = x - 1, so that the load also holds the spring's other end up.
     """
     mass, stiffness, gravity, restitution = 1e-3, 100.0, 9.81, 0.9
-    study = clunk.study_from_text(f"""
-        [driveline]
-        inertias = [{mass}]
-        [[driveline.shafts]]
-        between = [1, "ground"]
-        stiffness = {stiffness}
-        damping = 0.0
-        [lash]
-        between = [1, "ground"]
-        backlash_deg = {math.degrees(2.0)!r}
-        radius = 1.0
-        [lash.contact]
-        model = "restitution"
-        restitution = {restitution}
-        stiffness = 1e6
-        damping = 0.0
-        [load]
-        on = 1
-        initial_torque = -200.0
-        final_torque = {-(mass * gravity + stiffness * 1.0)!r}
-        [solver]
-        method = "{method}"
-        step = 1e-5
-        end_time = 0.012
-    """)
-    run = clunk.simulate(study, initial_state=[0.0, 0.0])
+    plant = Plant(
+        inertias=(mass,),
+        shafts=((1, "ground", stiffness, 0.0),),
+        lash=(1, "ground"),
+        backlash=2.0,
+        before=-200.0,
+        after=-(mass * gravity + stiffness * 1.0),
+        acceleration_of=1,
+        restitution=restitution,
+    )
+    run = exact(plant, [0.0, 0.0], 0.012, method, step=1e-5)
     omega = math.sqrt(stiffness / mass)
     sag = gravity / omega**2
     impact = math.acos(sag / (1.0 + sag)) / omega
@@ -144,35 +122,18 @@ def test_a_forced_oscillator_grazes_its_wall(method, off, touches):
     """
     stiffness, damping, omega = 1.0, 0.1, 1.0
     amplitude = math.hypot(stiffness - omega**2, damping * omega) * (1.0 + off)
-    study = clunk.study_from_text(f"""
-        [driveline]
-        inertias = [1.0]
-        [[driveline.shafts]]
-        between = [1, "ground"]
-        stiffness = {stiffness}
-        damping = {damping}
-        [lash]
-        between = [1, "ground"]
-        backlash_deg = {math.degrees(4.0)!r}
-        radius = 1.0
-        [lash.contact]
-        model = "restitution"
-        restitution = 0.8
-        stiffness = 1e6
-        damping = 0.0
-        [load]
-        profile = "sine"
-        on = 1
-        initial_torque = 1.0
-        final_torque = 1.0
-        amplitude = {amplitude!r}
-        frequency = {omega / (2.0 * math.pi)!r}
-        [solver]
-        method = "{method}"
-        step = 1e-3
-        end_time = 6.0
-    """)
-    run = clunk.simulate(study, initial_state=[1.0 - 10.0 * amplitude, 0.0])
+    plant = Plant(
+        inertias=(1.0,),
+        shafts=((1, "ground", stiffness, damping),),
+        lash=(1, "ground"),
+        backlash=4.0,
+        before=1.0,
+        after=1.0,
+        acceleration_of=1,
+        restitution=0.8,
+        profile=sine(amplitude, omega / (2.0 * math.pi)),
+    )
+    run = exact(plant, [1.0 - 10.0 * amplitude, 0.0], 6.0, method, step=1e-3)
     events = events_of(run, TOUCH)
     assert len(events) == touches
     if method == "exact" and not touches:
@@ -191,41 +152,20 @@ def test_tip_in_through_the_lash(method):
     In it the motor is alone with T = 5 - 10 exp(-t/0.1), and the load coasts.
     """
     lag, drag, load_inertia, motor_inertia, ratio = 0.1, 6.6, 140.01, 0.3, 12.0
-    study = clunk.study_from_text(f"""
-        [driveline]
-        inertias = [{motor_inertia}, 0.01, 140.0]
-        [[driveline.shafts]]
-        between = [2, 3]
-        stiffness = 1e5
-        damping = 0.0
-        [[driveline.shafts]]
-        between = [2, "ground"]
-        stiffness = 0.0
-        damping = 1.0
-        [[driveline.shafts]]
-        between = [3, "ground"]
-        stiffness = 0.0
-        damping = 5.6
-        [lash]
-        between = [2, 1]
-        ratio = {1.0 / ratio!r}
-        backlash_deg = {math.degrees(0.06)!r}
-        radius = 1.0
-        [lash.contact]
-        stiffness = 1e4
-        damping = 0.0
-        [load]
-        profile = "lag"
-        on = 1
-        initial_torque = -5.0
-        final_torque = 5.0
-        time_constant = {lag}
-        [solver]
-        method = "{method}"
-        step = 1e-4
-        end_time = 2.0
-    """)
-    run = clunk.simulate(study)
+    plant = Plant(
+        inertias=(motor_inertia, 0.01, 140.0),
+        shafts=((2, 3, 1e5, 0.0), (2, "ground", 0.0, 1.0), (3, "ground", 0.0, 5.6)),
+        lash=(2, 1),
+        lash_ratio=1.0 / ratio,
+        backlash=0.06,
+        contact_stiffness=1e4,
+        contact_damping=0.0,
+        before=-5.0,
+        after=5.0,
+        acceleration_of=2,
+        profile=reference.lag(lag),
+    )
+    run = exact(plant, None, 2.0, method)
     assert set(run.flanks) == {1}
     (parted, _), *_ = events_of(run, SEPARATION)
     (met, closing), *_ = events_of(run, TOUCH)

@@ -11,15 +11,12 @@ from scipy.io import loadmat
 from test_store import padded
 
 import clunk
-from clunk.results import export, netcdf
+from clunk.results import export
 from clunk.results.historyfile import save_csv
 from clunk.results.quantities import CELL_QUANTITIES, REGIME_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.history import sample
 from clunk.study.axes import ResultAxis, lash_axis
-from clunk.sweeping.assembly import RegimeReduction
-from clunk.sweeping.cells import Grid
-from clunk.sweeping.tiles import from_bytes, to_bytes
 
 NAMES = ("gear", "differential")
 
@@ -72,15 +69,6 @@ def path(two, tmp_path):
     return tmp_path / "two.h5"
 
 
-def test_a_file_of_several_lashes_is_read_as_it_was_written(two, path):
-    again = clunk.read_results(path)
-    assert equal(again, two)
-    assert again.lashes == NAMES
-    assert netcdf.check(path)
-    for name, counts in two.counts_of_lashes.items():
-        assert counts == {label: n for label, n in two.of_lash(name).counts().items() if n or label == "failed"}
-
-
 def test_the_dimension_lash_lies_behind_the_axes_and_before_the_impacts(path):
     with h5py.File(path) as file:
         names = [name.decode() for name in file["lash"][()]]
@@ -90,23 +78,6 @@ def test_the_dimension_lash_lies_behind_the_axes_and_before_the_impacts(path):
     for name, quantity in REGIME_QUANTITIES.items():
         of_lash = [] if name in ("status", "quality") else ["lash"]
         assert dimensions[name] == [*axes, *of_lash, *([quantity.dimension] if quantity.dimension else [])]
-
-
-def test_xarray_takes_a_lash_by_its_name(two, path):
-    pytest.importorskip("h5netcdf")
-    dataset = clunk.open_results(path)
-    assert dataset.label.dims == ("load_ratio", "load_duration", "lash")
-    alone = dataset.sel(lash="differential")
-    part = two.of_lash("differential")
-    assert (alone.label.values == part.label_map).all()
-    np.testing.assert_array_equal(
-        alone.impact_time.values,
-        np.pad(
-            padded(part, "impact_time"),
-            [(0, 0), (0, 0), (0, two.max_impacts - part.max_impacts)],
-            constant_values=np.nan,
-        ),
-    )
 
 
 def test_a_file_whose_lash_has_another_name_does_not_match_its_digest(path):
@@ -197,33 +168,6 @@ def rig(*counts):
 @pytest.fixture(scope="module")
 def swept():
     return clunk.sweep(rig(9, 5))
-
-
-def test_a_cell_of_a_map_is_its_run_lash_by_lash(swept):
-    assert swept.lashes == ("gear", "joint")
-    for ratio, gap in ((2.0, 3.0), (4.0, 1.0)):
-        run = clunk.simulate(clunk.replace_values(rig(), {"load.ratio": ratio, "lash[2].backlash_deg": gap}))
-        for name, each in zip(swept.lashes, run.lashes, strict=True):
-            cell = swept.of_lash(name).cell({"load.ratio": ratio, "lash[2].backlash_deg": gap})
-            assert (cell["label"], cell["touches"]) == (each.label, each.touches)
-            # the log with states locates extremes of the same flow, to rounding
-            np.testing.assert_allclose(cell["impact_severity"], each.impact_severity, rtol=1e-9)
-
-
-def test_the_order_of_lashes_in_the_file_changes_no_label(swept):
-    head, gear, joint = RIG.split("[[lash]]")
-    swapped = clunk.sweep(clunk.study_from_text(f"{head}[[lash]]{joint}[[lash]]{gear}{axes(9, 5, lash=1)}"))
-    for name in swept.lashes:
-        assert (swapped.of_lash(name).label_map == swept.of_lash(name).label_map).all()
-
-
-def test_tiles_in_any_order_give_the_same_map(swept):
-    study, stop = rig(9, 5), np.zeros(1, np.uint8)
-    grid, reduction = Grid(study), RegimeReduction(study)
-    for cells in np.split(np.random.default_rng(3).permutation(45), [1, 7, 30]):
-        reduction.add(from_bytes(to_bytes([grid.run(cells, stop)], b"here"), b"here"))
-        reduction.add(grid.run(cells[:3], stop))  # which are there already
-    assert equal(reduction.result({}), swept)
 
 
 @pytest.mark.parametrize("lash", ["gear", "joint"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
+from clunk.core.runs import LEVEL, SLOPE, WAVE, WAVE_PARTNER
 from clunk.simulation.load import is_moving, load_step, loads_of, torque_at, wave_rates
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study
@@ -71,11 +71,6 @@ def test_a_profile_that_takes_no_time_is_a_step_and_a_pulse_none(profile, key, r
     assert np.all(torques(config) == rest)
 
 
-def test_a_ramp_is_a_table_of_two_points():
-    table = load("table", times=(0.0, D), torques=(T0, T1))
-    assert np.array_equal(loads_of(table, 1).pieces, loads_of(load("ramp"), 1).pieces)
-
-
 @pytest.mark.parametrize(
     ("profile", "swept"),
     [
@@ -101,25 +96,11 @@ def test_swept_values_take_the_place_of_the_configs(profile, swept):
         assert np.array_equal(loads.pieces[min(k, len(loads.pieces) - 1)], single.pieces[0])
 
 
-def test_a_table_is_kept_once_for_all_cells():
-    times = np.linspace(0.0, 1.0, 1000)
-    trace = load("table", times=tuple(times), torques=tuple(np.sin(times)))
-    loads = loads_of(trace, 100_000, step_time=np.zeros(100_000))
-    assert loads.pieces.shape == (1, 1000, 5)
-    assert loads.before.shape == (100_000,)
-    assert torques(trace, times[:-1] + 5e-4) == pytest.approx(np.sin(times[:-1] + 5e-4), abs=2e-7)  # h² / 8
-
-
 @pytest.mark.parametrize(
     ("profile", "after"), [("ramp", T1), ("pulse", T0), ("sine", T1), ("steps", T1), ("table", -1.0)]
 )
 def test_the_load_step_leads_to_where_the_load_rests(profile, after):
     assert load_step(load(profile)) == pytest.approx((T0, after))
-
-
-def test_the_pieces_of_a_profile_are_as_many_for_any_duration():
-    pieces = loads_of(load("ramp"), 3, duration=np.array([0.0, 0.1, 0.4])).pieces
-    assert pieces[:, :, BEGIN].tolist() == [[0.0, 0.0], [0.0, 0.1], [0.0, 0.4]]
 
 
 @pytest.mark.parametrize("method", ["exact", "rk4"])

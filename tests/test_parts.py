@@ -1,6 +1,5 @@
 """Sweeps that are stopped, killed or get in each other's way: what is done stays, and the results are the same bits."""
 
-import contextlib
 import json
 import os
 import shutil
@@ -10,7 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from test_sweeping import digest_of, equal, figure_3_4
 
@@ -18,7 +16,6 @@ import clunk
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
 from clunk.sweeping import parts as keeping
-from clunk.sweeping.cells import Grid
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.provenance import versions
 from clunk.sweeping.sweep import Job, sweep
@@ -216,22 +213,6 @@ def test_a_disk_that_is_full_is_a_sentence_and_what_was_kept_stays(study, whole,
     assert equal(results, whole)
 
 
-def test_what_waits_to_be_written_is_bounded_however_fast_cells_finish(study, whole, target, monkeypatch):
-    monkeypatch.setattr(keeping, "_LARGEST_PART", 100)
-    monkeypatch.setattr(time, "monotonic", lambda: 0.0)  # no part falls due by the clock
-    grid = Grid(study)
-    with WorkingDirectory(target) as directory:
-        parts = Job(study, directory=directory).parts
-        for first in range(0, 289, 16):
-            parts.add(grid.run(np.arange(first, min(first + 16, 289)), np.zeros(1, np.uint8)))
-        assert parts.kept == 224  # two parts of seven tiles, 112 cells each
-        parts.flush()
-        assert len(directory.parts()) == 3
-    results, parts = resumed(study, target, workers=1)
-    assert parts.taken_up == 289
-    assert equal(results, whole)
-
-
 # --- killed
 
 RUN = """
@@ -314,30 +295,6 @@ def test_killed_at_any_moment_the_same_command_gives_the_same_bits(tmp_path, und
     digest, _, err = finish(tmp_path)
     assert digest == undisturbed
     assert "already complete" in err
-
-
-@posix
-@pytest.mark.slow
-def test_killed_at_fifty_random_moments_each_sweep_ends_with_the_same_bits(tmp_path, undisturbed):
-    """Moments between the first trace of a sweep and its end; of those that ended before, there is another."""
-    rng = np.random.default_rng(11)
-    killed, tried, lasts = 0, 0, 2.0
-    while killed < 50:
-        directory = tmp_path / str(tried)
-        directory.mkdir()
-        process = start(directory, "never")
-        while not (directory / "map.h5.partial").exists():
-            time.sleep(0.005)
-        began = time.monotonic()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=float(rng.uniform(0.0, lasts)))
-            lasts = min(lasts, time.monotonic() - began)
-        process.kill()
-        process.communicate()
-        killed += process.returncode == -signal.SIGKILL
-        tried += 1
-        assert finish(directory)[0] == undisturbed
-        assert tried < 200
 
 
 @posix

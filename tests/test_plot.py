@@ -235,16 +235,6 @@ def test_thresholds_on_the_map_are_marked_and_noted(nine: Results) -> None:
     assert notes(figure) == ["vanishing backlash: 1.46, 3.13, 6.69"]
 
 
-@pytest.mark.parametrize("parameter", ["load.initial_torque", "load.final_torque"])
-def test_thresholds_are_marked_on_a_torque_axis_from_left_to_right_in_any_order(nine: Results, parameter: str) -> None:
-    torque = ResultAxis(parameter, np.linspace(-10.0, 0.0, 61), "load torque", "T", "N m")
-    figure = regime_map(make((torque, BACKLASH), nine.labels, nine.sequence, nine.severity), (-2.46, -7.69, 5.0))
-    assert threshold_marks(figure.axes[0]) == [-7.69, -2.46]
-    assert notes(figure)[-1].endswith("\N{MINUS SIGN}7.69, \N{MINUS SIGN}2.46")
-    upward = make((BACKLASH, torque), nine.labels, nine.sequence, nine.severity)
-    assert not threshold_marks(regime_map(upward, (2.46, 7.69)).axes[0])
-
-
 @pytest.mark.parametrize(
     "title", ["Regimes of a nominal driveline " * 5, "Short", "Nine words of which none may leave the page"]
 )
@@ -510,15 +500,6 @@ def test_a_strip_names_the_regimes_over_the_curve() -> None:
     points = np.concatenate([line.get_xydata() for line in curve.lines if len(line.get_xdata()) != 2])
     np.testing.assert_array_equal(points, np.column_stack((results.axes[0].values, results.severity))[: len(points)])
     assert curve.get_ylabel() == "Severity Q [rad/s²]"
-
-
-def test_a_strip_breaks_its_curve_at_failed_cells_and_between_regimes() -> None:
-    results = one_axis([0] * 5 + [-1] * 3 + [1] * 6, np.arange(14.0))
-    figure = strip(results, "severity")
-    assert notes(figure) == ["failed: 3 cells"]
-    curves = [line.get_ydata() for line in figure.axes[1].lines if line.get_marker() == "o"]
-    assert [len(curve) for curve in curves] == [5, 3, 6]
-    assert np.isnan(curves[1]).all()
 
 
 def test_a_single_cell_is_drawn_as_a_strip(tmp_path: Path) -> None:

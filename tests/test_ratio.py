@@ -103,34 +103,18 @@ def test_modes_thresholds_and_the_contact_period_are_those_of_the_reflected_driv
 
 def test_the_torque_behind_a_gear_is_ratio_times_its_opposite():
     """A shaft of ratio 3 between two inertias to ground by their own: K is [[k + k1, -3k], [-3k, 9k + k2]]."""
-    study = study_from_text(
-        """
-        [driveline]
-        inertias = [0.01, 0.09]
-        [[driveline.shafts]]
-        between = [1, 2]
-        ratio = 3.0
-        stiffness = 10.0
-        damping = 0.1
-        [[driveline.shafts]]
-        between = ["ground", 2]
-        ratio = -2.0
-        stiffness = 5.0
-        damping = 0.2
-        [lash]
-        between = [1, 2]
-        ratio = 3.0
-        backlash_deg = 1.0
-        radius = 0.1
-        [lash.contact]
-        stiffness = 1e5
-        damping = 50.0
-        [load]
-        on = 1
-        initial_torque = -6.0
-        final_torque = -1.0
-        """
+    plant = reference.Plant(
+        inertias=(0.01, 0.09),
+        shafts=((1, 2, 10.0, 0.1), ("ground", 2, 5.0, 0.2)),
+        ratios=(3.0, -2.0),
+        lash=(1, 2),
+        lash_ratio=3.0,
+        contact_stiffness=1e3,
+        contact_damping=0.5,
+        backlash=np.deg2rad(1.0),
+        acceleration_of=1,
     )
+    study = study_from_text(reference.config_of(plant))
     driveline = Driveline.from_study(study)
     assert driveline.stiffness == pytest.approx(np.array([[10.0, -30.0], [-30.0, 90.0 + 20.0]]), rel=1e-14)
     assert driveline.damping == pytest.approx(np.array([[0.1, -0.3], [-0.3, 0.9 + 0.8]]), rel=1e-14)

@@ -7,13 +7,12 @@ import shlex
 import shutil
 import signal
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from clunk import fit, load_study, simulate, study_from_text, sweep
+from clunk import fit, load_study, simulate, study_from_text
 from clunk.cli import cli, main
 from clunk.cli.help.page import show
 from clunk.core.status import Status
@@ -149,24 +148,6 @@ def test_the_readme_is_short_and_names_every_topic():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.encode()) <= 8 * 1024
     assert set(re.findall(r"\(clunk/cli/help/([\w-]+)\.md\)", text)) == {page.stem for page in TOPICS}
-
-
-@pytest.mark.parametrize(
-    ("ratio", "limits", "labels"),
-    [
-        (5.0, (0.143, 0.188, 0.240), "DS(1)SS(1) DS(1) SS(1) NI"),
-        (10.0, (0.283, 0.375, 0.511), "SS(1) NI SS(1) NI"),
-    ],
-)
-def test_ramps_end_in_the_labels_that_the_readme_tells(ratio, limits, labels):
-    """The limits are rounded to 1 ms, so that 1 ms beside them a label is certain."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert all(f"{limit:.3f}" in text for limit in limits)
-    values = [limit + beside for limit in limits for beside in (-1e-3, 1e-3)]
-    axis = f"sweep.axes=[{{parameter='load.duration', values={values}}}]"
-    results = sweep(load_study(ROOT / "configs/ramp.toml", [axis, f"load.ratio={ratio}"]))
-    expected = [label for pair in pairwise(labels.split()) for label in pair]
-    assert [results.labels[code] for code in results.sequence] == expected
 
 
 def test_enough_is_run_to_notice_a_fence_that_is_not_found():

@@ -10,7 +10,7 @@ from helpers.running import core_run, empty_log, prepared, stepped, unproved
 from clunk.core import switching, tile
 from clunk.core.rk4.propagator import rk4_growth
 from clunk.core.status import INTERRUPTED, Status
-from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
+from clunk.core.tables import OPEN
 from clunk.simulation import driveline
 from clunk.study.config import study_from_text
 
@@ -93,15 +93,6 @@ def test_growth_is_that_of_the_stability_polynomial():
     assert rk4_growth(np.array([-2.785 + 0j, 2.8284j]), 1.0) == pytest.approx([1.0, 1.0], abs=1e-3)
     assert np.all(rk4_growth(np.array([-2.79 + 0j, 2.83j]), 1.0) > 1.0)
     assert np.all(rk4_growth(np.array([-2.78 + 0j, 2.82j]), 1.0) < 1.0)
-
-
-def test_a_gap_crossed_within_one_step_is_not_skipped():
-    """1e-4° at 0.04 rad/s is crossed in 40 µs, less than half a step; separation and the touch opposite share it."""
-    plant = reference.boere(7.0, 1e-4)
-    events, _ = reference.run(plant)
-    run = core_run(prepared(plant, 1e-4), plant)
-    assert run.kinds == [(event.kind, event.side) for event in events]
-    assert sum(there - here < 1e-4 for here, there in pairwise(run.events["time"])) >= 3
 
 
 @pytest.mark.parametrize("steps", range(1, 14))
@@ -200,24 +191,6 @@ def test_every_transition_keeps_what_it_says_is_zero():
             # a time located to its last digit leaves the speed times 1e-16 s, and rounding of q = θ3 - θ4
             assert abs(force[k] if by_force else overlap[k]) < (1e-12 if by_force else 1e-15)
         assert np.all(np.diff(run.events["time"]) > 0.0)
-
-
-def test_a_given_state_is_in_the_regime_of_its_gap_and_force():
-    """In the gap; pressed on either flank; overlapping but tensile, which only separation by force knows."""
-    plant = reference.boere(5.0, 6.0)
-    by_gap, by_force = prepared(plant).system, prepared(reference.boere(5.0, 6.0, separation="force")).system
-    half = plant.backlash / 2
-
-    def regime(system, q, speed):
-        return switching.regime_of(system, np.array([0, 0, q, 0, 0, 0, speed, 0.0]), np.array([-1.0, half]))
-
-    for system in (by_gap, by_force):
-        assert regime(system, 0.0, 5.0) == OPEN
-        assert regime(system, half + 0.01, 0.0) == CLOSED_POSITIVE
-        assert regime(system, -half - 0.01, 0.0) == CLOSED_NEGATIVE
-    tensile = -1.1 * plant.contact_stiffness * 0.01 / plant.contact_damping
-    assert regime(by_gap, half + 0.01, tensile) == CLOSED_POSITIVE
-    assert regime(by_force, half + 0.01, tensile) == PARTED_POSITIVE
 
 
 class TestHowARunEnds:

@@ -212,20 +212,6 @@ def test_rk4_converges_to_the_exact_events_of_random_drivelines_that_roll(drawn)
 @pytest.mark.parametrize("plant", [CAR, COASTING], ids=["dragged", "coasting"])
 @pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
 class TestRuns:
-    def test_the_history_begins_with_the_steady_motion(self, contact, plant):
-        """Its velocities lead to its angles, and so do its accelerations to its velocities."""
-        history = sample(simulate(study_of(replace(plant, **contact), end_time=0.3)), step=1e-3)
-        before = history.after_step < 0.0
-        assert np.ptp(history.twist[before], axis=0) == pytest.approx(np.zeros(5), abs=1e-12)
-        assert np.all(history.torque[before] == 6.0)
-        turns = [4.0, 2.5, 1.0, 1.0, 1.0]  # of which the twists have no part
-        assert history.twist @ (plant.inertias * np.array(turns)) == pytest.approx(0.0, abs=1e-12)
-        t = history.after_step[before, None]
-        start = history.angle[history.event == 0] + t * history.velocity[history.event == 0]
-        assert history.angle[before] == pytest.approx(start + t**2 / 2.0 * history.acceleration[0], abs=1e-12)
-        momentum = plant.inertias @ history.acceleration[0]
-        assert (momentum == 0.0) == (plant is CAR)
-
     def test_a_vehicle_that_gets_heavier_comes_to_be_ground(self, contact, plant):
         """Of 2·10⁶ kg m² it takes one part in 10⁶ of what a run does; times of touches a little more."""
         heavy = replace(plant, inertias=(*plant.inertias[:4], 2e6), **contact)

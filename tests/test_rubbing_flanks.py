@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.agreement import happened_in, in_order
+from helpers.agreement import exact, happened_in, in_order
 from helpers.randomplants import element_plant
 
 from clunk.core.events import LOCK, SEPARATION, TOUCH
@@ -18,38 +18,17 @@ from clunk.study.study import replace_values
 METHODS = ["exact", "rk4"]
 END_TIME = 0.3  # s
 J, E = 0.5, 0.5  # kg m2; restitution
-# An inertia on a bearing with friction, between two rigid flanks.
-MASS = """
-[driveline]
-inertias = [0.5]
-[[driveline.shafts]]
-between = [1, "ground"]
-stiffness = 0.0
-damping = 0.0
-friction = {friction}
-[lash]
-between = [1, "ground"]
-backlash_deg = {backlash}
-radius = 1.0
-[lash.contact]
-model = "restitution"
-restitution = 0.5
-stiffness = 1.0
-damping = 0.0
-[load]
-on = 1
-{load}
-[solver]
-method = "{method}"
-step = 1e-3
-end_time = 3.0
-"""
-STEADY = "initial_torque = 5.0\nfinal_torque = 5.0"
+# An inertia on a bearing with friction, between two rigid flanks, pressed against one by 5 N m.
+MASS = reference.Plant(
+    inertias=(J,), shafts=(), lash=(1, "ground"), before=5.0, after=5.0, acceleration_of=1, restitution=E
+)
 HALF_GAP = np.deg2rad(30.0)
 
 
-def mass(method, friction, backlash=60.0, load=STEADY):
-    return study_from_text(MASS.format(method=method, friction=friction, backlash=backlash, load=load))
+def mass(method, friction, state=None, **changes):
+    """A run of it."""
+    shafts = (reference.Shaft(1, "ground", 0.0, 0.0, (), friction),)
+    return exact(replace(MASS, shafts=shafts, **{"backlash": 2.0 * HALF_GAP} | changes), state, 3.0, method, step=1e-3)
 
 
 def rig(method, *overrides):
@@ -64,7 +43,7 @@ def rig(method, *overrides):
 def test_a_mass_bounces_lower_by_its_friction(method):
     """A torque of 5 N m drives it against a flank, 1 N m rubs: it falls at (5 - 1)/J and rises at (5 + 1)/J. A rebound
     at u lasts u/rise + u/√(rise · fall), and ends at u √(fall/rise)."""
-    run = simulate(mass(method, 1.0), initial_state=[0.0, 0.0])
+    run = mass(method, 1.0, [0.0, 0.0])
     fall, rise = 4.0 / J, 6.0 / J
     ratio = E * np.sqrt(fall / rise)
     first = np.sqrt(2.0 * HALF_GAP * fall)
@@ -89,7 +68,7 @@ def test_a_mass_bounces_lower_by_its_friction(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_mass_that_rubs_more_than_it_is_driven_stays_where_it_rebounds_to(method):
-    run = simulate(mass(method, 6.0), initial_state=[0.0, 3.0])
+    run = mass(method, 6.0, [0.0, 3.0])
     touch = np.sqrt(9.0 - 2.0 * (1.0 / J) * HALF_GAP)  # slowed by 6 - 5 N m
     rebound, slows = E * touch, 11.0 / J
     assert run.phases["time"] == pytest.approx([0.0, (3.0 - touch) * J, (3.0 - touch) * J + rebound / slows], rel=1e-12)
@@ -100,8 +79,8 @@ def test_a_mass_that_rubs_more_than_it_is_driven_stays_where_it_rebounds_to(meth
 @pytest.mark.parametrize("method", METHODS)
 def test_a_flank_lets_go_where_the_pull_exceeds_the_friction_beside_it(method):
     """A torque falls from 2 N m at 10 N m/s: at -1 N m both part, from rest and with no acceleration."""
-    ramp = "profile = 'ramp'\nduration = 0.4\ninitial_torque = 2.0\nfinal_torque = -2.0"
-    run = simulate(mass(method, 1.0, backlash=0.1, load=ramp))
+    ramp = {"before": 2.0, "after": -2.0, "profile": reference.ramp(0.4)}
+    run = mass(method, 1.0, backlash=np.deg2rad(0.1), **ramp)
     assert [run.kind_name(k) for k in range(3)] == ["load step", "separation", "touch"]
     crossing = np.cbrt(6.0 * np.deg2rad(0.1) * J / 10.0)
     assert run.events["time"][1:3] == pytest.approx([0.3, 0.3 + crossing], abs=1e-9)  # F and a billionth of it

@@ -1,6 +1,5 @@
 """Sobol indices are those of functions that have known ones, and of the physics where tolerances are small."""
 
-import json
 import re
 
 import numpy as np
@@ -97,16 +96,6 @@ def test_a_product_s_interaction_is_in_the_total_indices_alone():
     whole = v1 * m2**2 + v2 * m1**2 + v1 * v2
     assert first == pytest.approx(np.array([v1 * m2**2, v2 * m1**2]) / whole, rel=0.02)
     assert total == pytest.approx(np.array([v1 * m2**2 + v1 * v2, v2 * m1**2 + v1 * v2]) / whole, rel=0.02)
-
-
-def test_the_sample_has_each_column_of_b_in_a_page_of_its_own():
-    sample = saltelli_sample(study(SPREAD, count=16))
-    a, b, pages = sample[:, 0], sample[:, 1], sample[:, 2:]
-    assert not (a == b).any()
-    for k in range(4):
-        others = np.arange(4) != k
-        assert np.array_equal(pages[:, k, k], b[:, k])
-        assert np.array_equal(pages[:, k, others], a[:, others])
 
 
 def test_the_indices_of_small_tolerances_are_those_of_error_propagation():
@@ -232,30 +221,6 @@ def test_the_command_prints_tables_of_80_columns_and_draws_them(clunk_command, t
     assert re.search(r"double_sided\n +without tolerances +1\n +mean +1\n +standard deviation +0\n", out)
     assert "448 runs in" in err
     assert (tmp_path / "bars.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_record_is_json_with_every_index(clunk_command):
-    axes = '[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [4.0, 5.0, 6.0]\n'
-    spread = dict.fromkeys(DRIVING, 'distribution = "uniform"\ndraws = "factor"\nlow = 0.95\nhigh = 1.05')
-    code, out, _ = clunk_command(text(spread, point=POINT + axes), "--at", "load.ratio=4", "--json")
-    assert code == 0
-    printed = json.loads(out)
-    assert printed["parameters"][0] == {
-        "parameter": "load.ratio",
-        "distribution": "uniform",
-        "draws": "factor",
-        "low": 0.95,
-        "high": 1.05,
-        "nominal": 4.0,
-    }
-    assert (printed["samples"], printed["runs"], printed["seed"]) == (64, 256, 0)
-    assert set(printed["quantities"]) == {"severity", "nominal_label"}
-    severity = printed["quantities"]["severity"]
-    assert severity["nominal"] == printed["nominal"]["severity"]
-    assert set(severity["indices"]) == set(DRIVING)
-    for index in severity["indices"].values():
-        low, high = index["total_interval"]
-        assert low < index["total"] < high
 
 
 def test_the_chart_has_a_panel_for_what_varies_and_bars_of_the_indices():

@@ -98,19 +98,6 @@ def test_what_is_written_is_what_is_read(tmp_path: Path, axes: tuple[ResultAxis,
         assert impacts or np.isnan(file["impact_time"][()]).all()
 
 
-def test_a_large_map_survives_in_several_chunks(tmp_path: Path) -> None:
-    ratio = replace(RATIO, values=np.linspace(0.0, 10.0, 403))
-    backlash = replace(BACKLASH, values=np.linspace(0.0, 20.0, 401))
-    results = example(ratio, backlash)
-    store.write_results(tmp_path / "map.h5", results)
-    with h5py.File(tmp_path / "map.h5") as file:
-        assert file["severity"].chunks[0] < 403
-        # who reads the first impacts reads no others
-        assert file["impact_time"].chunks == (*file["severity"].chunks, 1)
-        np.testing.assert_array_equal(file["impact_time"][()], padded(results, "impact_time"))
-    assert_same(results, store.read_results(tmp_path / "map.h5"))
-
-
 def test_padded_impacts_follow_their_cell() -> None:
     results = example(RATIO, BACKLASH)
     speeds, flanks = padded(results, "impact_closing_speed"), padded(results, "impact_flank")
@@ -125,20 +112,6 @@ def test_padded_impacts_follow_their_cell() -> None:
         assert not flanks[cell][count:].any()
         position += count
     assert position == results.impact_time.size
-
-
-def test_results_refuse_arrays_that_do_not_belong_together() -> None:
-    results = example(RATIO, BACKLASH)
-    with pytest.raises(ValueError, match="not those of the quantities"):
-        results.with_arrays(hardness=results.severity)
-    with pytest.raises(ValueError, match="severity must be float64"):
-        results.with_arrays(severity=results.severity.astype(np.float32))
-    with pytest.raises(ValueError, match="touches must be int32"):
-        results.with_arrays(touches=results.touches.T.copy())
-    with pytest.raises(ValueError, match="impact_time must be"):
-        results.with_arrays(impact_time=results.impact_time[:-1])
-    with pytest.raises(ValueError, match="code without a label"):
-        replace(results, labels=LABELS[:-1])
 
 
 # --- for other people's readers

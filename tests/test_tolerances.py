@@ -2,7 +2,6 @@
 
 import re
 
-import h5py
 import numpy as np
 import pytest
 import xarray
@@ -12,21 +11,19 @@ import clunk as clunk_api
 from clunk import plot
 from clunk.core.status import Status
 from clunk.plot import PlotError, save
-from clunk.plot.layers import Layers
 from clunk.plot.style import colour_of
 from clunk.results import netcdf, store
 from clunk.results.labels import excursions
 from clunk.results.netcdf import StoreError
 from clunk.results.quantities import quantity_of
 from clunk.results.store import read_results
-from clunk.results.tolerancemap import QUANTILES, most_likely
+from clunk.results.tolerancemap import QUANTILES
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import get_value
 from clunk.study.study import replace_values, to_toml
-from clunk.study.sweeps import Axis
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory
@@ -140,36 +137,6 @@ class TestCells:
         plain = sweep(nominal(toleranced))
         labels = np.array([*found.labels, "failed"])
         assert np.array_equal(labels[found.nominal_sequence], np.array([*plain.labels, "failed"])[plain.sequence])
-
-    def test_certain_cells_are_those_of_the_map_without_tolerances(self, found):
-        certain = found.certainty == 1.0
-        assert 0.3 < certain.mean() < 1.0
-        assert np.array_equal(found.sequence[certain], found.nominal_sequence[certain])
-
-    def test_of_equally_likely_labels_the_first_counts(self, found):
-        runs = np.zeros((*found.shape, len(found.labels) + 1), np.int32)
-        runs[..., 1] = runs[..., 2] = 8
-        runs[0, 0] = 0
-        runs[0, 0, [-2, -1]] = 8
-        tied = found.with_arrays(probability=runs / 16, sequence=most_likely(runs))
-        assert tied.sequence[0, 0] == len(found.labels) - 1
-        assert np.all(tied.sequence.ravel()[1:] == 1)
-
-
-def test_a_lopsided_tolerance_moves_the_most_likely_label():
-    """Twice the backlash in most draws: as many double-sided impacts as on the map at about the double backlash."""
-    moved = study(tolerance("lash.backlash_deg").replace("std = 0.05", "mean = 2.0\nstd = 0.01"), count=4)
-    found = clunk_api.tolerance_map(moved)
-    doubled = sweep(replace_axis(nominal(moved), "lash.backlash_deg", 2.0 * np.array(moved.sweep.axes[1].grid)))
-    likely, there = (np.array(each.labels)[each.sequence] for each in (found, doubled))
-    assert np.mean(likely == there) > 0.95  # but for cells within 1 % of a boundary
-    assert np.mean(likely == np.array(found.labels)[found.nominal_sequence]) < 0.9
-
-
-def replace_axis(base, parameter, values):
-    changed = Axis(parameter=parameter, values=tuple(float(value) for value in values))
-    axes = tuple(changed if own.parameter == parameter else own for own in base.sweep.axes)
-    return base.model_copy(update={"sweep": base.sweep.model_copy(update={"axes": axes})})
 
 
 def test_rk4_and_axes_walked_together():
@@ -314,17 +281,6 @@ class TestFile:
             for name, variable in data.variables.items():
                 assert "long_name" in variable.attrs, name
 
-    @pytest.mark.parametrize("name", ["probability", "sequence", "severity_mean", "drawn_lash_contact_stiffness"])
-    def test_a_changed_value_is_noticed(self, path, tmp_path, name):
-        changed = tmp_path / "changed.h5"
-        changed.write_bytes(path.read_bytes())
-        with h5py.File(changed, "r+") as file:
-            values = file[name][()]
-            values.flat[5] += 1
-            file[name][()] = values
-        with pytest.raises(StoreError, match="damaged"):
-            store.read_tolerance_map(changed)
-
     def test_neither_kind_is_read_as_the_other(self, path, toleranced, tmp_path):
         with pytest.raises(StoreError, match="holds a tolerance map, where a regime map is needed"):
             read_results(path)
@@ -430,15 +386,6 @@ class TestFigures:
         assert np.sum(1.0 - colour(least)) < 0.6 * np.sum(1.0 - own)
         notes = [text.get_text() for text in figure.legends[0].get_texts()]
         assert f"paler: less than 95 % likely, {found.uncertain} cells" in notes
-
-    @pytest.mark.parametrize("quantity", ["double_sided", "severity", "severity_50"])
-    def test_of_one_axis_a_quantity_is_a_curve_below_the_most_likely_labels(self, found, quantity):
-        part = found.at({"lash.backlash_deg": 9.5})
-        band, ax = plot.draw(part, quantity).axes
-        drawn = np.concatenate([line.get_ydata() for line in ax.lines if len(line.get_xdata()) != 2])
-        values = Layers.of(part, 1, quantity).values
-        assert set(drawn) <= set(values)
-        assert {text.get_text() for text in band.texts} <= set(part.labels)
 
     def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
         base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'

@@ -90,14 +90,10 @@ def read(path: Path = PATH) -> EventTable:
         return EventTable(**{name: file[name] for name in EventTable._fields})
 
 
-def study(method: str = "rk4", ramp: float = 0.0, axes: Axes = (RATIOS, BACKLASHES_DEG)) -> Study:
-    """The sweep of the 400 runs, or of others between their ends; ConfigError where the method is not known.
-
-    ramp : duration of the load's ramp  [s]; 0 is the step of the table
-    """
+def study(method: str = "rk4", axes: Axes = (RATIOS, BACKLASHES_DEG)) -> Study:
+    """The sweep of the 400 runs, or of others between their ends."""
     ratios, backlashes = (values.tolist() for values in axes)
-    text = CONFIG.format(method=method, end_time=END_TIME, ratios=ratios, backlashes=backlashes)
-    return study_from_text(text + f'[load]\nprofile = "ramp"\nduration = {ramp!r}\n' if ramp else text)
+    return study_from_text(CONFIG.format(method=method, end_time=END_TIME, ratios=ratios, backlashes=backlashes))
 
 
 def grid() -> tuple[np.ndarray, np.ndarray]:

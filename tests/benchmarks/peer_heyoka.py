@@ -6,8 +6,6 @@ that the loop over steps stays in compiled code. Tried on these runs: 4 or 16 la
 fast_math (17 % slower), compact_mode (a third slower), one event q² = (φ/2)² for both flanks (as fast, but one run of
 400 wrong at a tolerance of 1e-9); shafts as common terms instead of rows of coefficients, slp_vectorize and
 force_avx512 change nothing. Events that do not end the step would have to be rewound in Python, step by step.
-
-Under a ramp the torque is a parameter and another one times the time, which change where the ramp ends.
 """
 
 from array import array
@@ -16,21 +14,20 @@ import events_table
 import heyoka as hy
 import numpy as np
 
-from clunk.core.runs import LEVEL, SLOPE
+from clunk.core.runs import LEVEL
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import loads_of
 
-CELLS = events_table.RATIOS.size * events_table.BACKLASHES_DEG.size
 LANES = 8
 TOUCH, SEPARATION = 1, 2
 
 
-def make(tolerance: float, ramp: float = 0.0):
+def make(tolerance: float):
     """A function of cell numbers that gives each one's events: (E, 2) float64, time [s] and kind times side."""
-    study = events_table.study(ramp=ramp)
+    study = events_table.study()
     driveline = Driveline.from_study(study)
-    before, pieces = loads_of(study.load, CELLS, ratio=events_table.grid()[0])
-    torque = hy.par[3] + hy.par[4] * hy.time if ramp else hy.expression(pieces[0, -1, LEVEL])
+    pieces = loads_of(study.load, 1).pieces
+    torque = hy.expression(pieces[0, -1, LEVEL])
     n = driveline.inertia.size
     angles = hy.make_vars(*(f"angle_{k}" for k in range(n)))
     speeds = hy.make_vars(*(f"speed_{k}" for k in range(n)))
@@ -72,7 +69,7 @@ def make(tolerance: float, ramp: float = 0.0):
     integrator = hy.taylor_adaptive_batch(
         system,
         np.zeros((2 * n, LANES)),
-        pars=np.zeros((5 if ramp else 3, LANES)),
+        pars=np.zeros((3, LANES)),
         tol=tolerance,
         compact_mode=False,
         fast_math=True,
@@ -97,10 +94,6 @@ def make(tolerance: float, ramp: float = 0.0):
             parameters[2] = half_gaps[batch]
             for lane in log:
                 del lane[:]
-            if ramp:
-                parameters[3], parameters[4] = before[batch], pieces[batch, 0, SLOPE]
-                integrator.propagate_until(ramp)
-                parameters[3], parameters[4] = pieces[batch, -1, LEVEL], 0.0
             integrator.propagate_until(events_table.END_TIME)
             found += [np.array(lane).reshape(-1, 2) for lane in log[: len(cells) - start]]
         return found

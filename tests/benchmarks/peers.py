@@ -1,7 +1,6 @@
 """clunk beside the real alternatives: the same 400 runs on the same machine, and how far each one's events are off.
 
-Run by hand: python tests/benchmarks/peers.py [--quick] [--json] [--repeats N] [--patience S] [--ramp S]
-(clunk's extra `bench`)
+Run by hand: python tests/benchmarks/peers.py [--quick] [--repeats N] [--patience S]   (clunk's extra `bench`)
 
 The runs are those of `events_table`: 20 x 20 cells, 1.5 s after the load step, every touch and separation located. One
 row is a sweep of the same axes at 401 x 401 cells, as large as maps are: a sweep has milliseconds of its own, which
@@ -13,21 +12,19 @@ measurement waits up to S seconds for it to be idle, and those during which othe
 a rate with no other measurement than such is marked *. clunk's rows are whole calls of `clunk.sweep` with as many
 threads as cores; the other rows are processes that already wait for work, timed until every run's events are in this
 process. Errors are against the stored table of `reference_events.py`: the largest |time error| of any event in the runs
-that have the right number of them, and how many runs have another number of events, or another label. With --ramp the
-torque falls within S seconds; of such runs there is no table, and errors are differences from the exact method.
+that have the right number of them, and how many runs have another number of events, or another label.
 """
 
 import argparse
 import contextlib
 import importlib
-import json
 import multiprocessing
 import os
 import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import NamedTuple
 
@@ -105,10 +102,10 @@ class Expected(NamedTuple):
 class Clunk:
     """A method of clunk's, by the public sweep and, for the times of the events, by the public simulate."""
 
-    def __init__(self, name: str, method: str, whole: bool = False, fine: bool = False, ramp: float = 0.0) -> None:
+    def __init__(self, name: str, method: str, whole: bool = False, fine: bool = False) -> None:
         self.row = Row(name)
-        self.study = events_table.study(method, ramp)
-        self.timed = events_table.study(method, ramp, finer()) if fine else self.study
+        self.study = events_table.study(method)
+        self.timed = events_table.study(method, finer()) if fine else self.study
         self.whole = whole
         began = time.perf_counter()
         sweeping.warm_up(self.study)
@@ -146,13 +143,8 @@ def events_of(study: clunk.Study) -> list[np.ndarray]:
     return events
 
 
-def expected_of(ramp: float) -> Expected:
-    """Of the stored table; under a ramp by the exact method."""
-    if ramp:
-        study = events_table.study("exact", ramp)
-        results, events = clunk.sweep(study), events_of(study)
-        labels = np.array([results.labels[code] for code in results.sequence.flat])
-        return Expected(events, [np.zeros(len(run)) for run in events], labels)
+def expected() -> Expected:
+    """The stored table."""
     table, runs = events_table.read(), [events_table.read().of(cell) for cell in CELLS]
     kinds = table.kind.astype(np.float64) * table.side
     events = [np.column_stack([table.time[run], kinds[run]]) for run in runs]
@@ -247,26 +239,22 @@ def compare(row: Row, cells: np.ndarray, runs: list[np.ndarray], labels: list[st
     row.wrong_labels = int(np.count_nonzero(np.array(labels) != expected.labels[cells]))
 
 
-def contestants(ramp: float, quick: bool = False) -> dict[str, Callable[[str], Clunk | Peer]]:
+def contestants(quick: bool = False) -> dict[str, Callable[[str], Clunk | Peer]]:
     """What makes each row, by its name."""
 
     def heyoka(tolerance: float) -> Callable[[str], Peer]:
-        return lambda name: Peer(name, "peer_heyoka", np.tile(CELLS, 10), tolerance=tolerance, ramp=ramp)
+        return lambda name: Peer(name, "peer_heyoka", np.tile(CELLS, 10), tolerance=tolerance)
 
     def solve_ivp(**options: object) -> Callable[[str], Peer]:
         return lambda name: Peer(name, "peer_scipy", SAMPLE[::10] if quick else SAMPLE, **options)
 
-    rows = {
+    return {
         YARDSTICK: heyoka(1e-9),
         "heyoka, tolerance 1e-12": heyoka(1e-12),
-        "clunk exact": lambda name: Clunk(name, "exact", ramp=ramp),
-        f"clunk exact, {FINE} x {FINE}": lambda name: Clunk(name, "exact", fine=True, ramp=ramp),
-        "clunk rk4": lambda name: Clunk(name, "rk4", ramp=ramp),
-        "clunk rk4, full length": lambda name: Clunk(name, "rk4", whole=True, ramp=ramp),
-    }
-    if ramp:  # solve_ivp's runs are of the step
-        return rows
-    return rows | {
+        "clunk exact": lambda name: Clunk(name, "exact"),
+        f"clunk exact, {FINE} x {FINE}": lambda name: Clunk(name, "exact", fine=True),
+        "clunk rk4": lambda name: Clunk(name, "rk4"),
+        "clunk rk4, full length": lambda name: Clunk(name, "rk4", whole=True),
         "solve_ivp RK45, 1e-6": solve_ivp(method="RK45", rtol=1e-6, atol=1e-9, first_step=1e-6),
         "solve_ivp DOP853, 1e-9": solve_ivp(method="DOP853", rtol=1e-9, atol=1e-12, first_step=1e-6),
         "solve_ivp, its defaults": solve_ivp(),
@@ -278,25 +266,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--quick", action="store_true", help="one short repeat; solve_ivp has 6 runs")
-    parser.add_argument("--json", action="store_true")
     parser.add_argument(
         "--patience", type=float, default=0.0, help="seconds that a measurement waits for an idle machine"
     )
-    parser.add_argument("--ramp", type=float, default=0.0, help="seconds in which the torque falls; 0: a step")
-    parser.add_argument("--only", default="", help="rows whose name has this in it, and the yardstick")
     options = parser.parse_args()
     repeats, at_least = (1, 0.0) if options.quick else (options.repeats, 0.5)
     rows = []
     with contextlib.ExitStack() as stack:
-        for name, make in contestants(options.ramp, options.quick).items():
-            if options.only not in name and name != YARDSTICK:
-                continue
+        for name, make in contestants(options.quick).items():
             try:
                 rows.append(make(name))
             except ImportError as error:
                 print(f"{name}: skipped, {error}", file=sys.stderr)
-            except clunk.ConfigError:
-                print(f"{name}: skipped, this version has no such method", file=sys.stderr)
             else:
                 stack.callback(rows[-1].close)
         watch = Watch([process.pid for contestant in rows for process in contestant.processes])
@@ -308,15 +289,11 @@ def main() -> None:
                     contestant.row.rates[cores].append(rate(contestant, cores, at_least))
                     contestant.row.others[cores].append(watch.others())
             print(f"repeat {repeat + 1} of {repeats}", file=sys.stderr)
-        expected = expected_of(options.ramp)
+        table = expected()
         for contestant in rows:
-            contestant.check(not options.quick, expected)
-    table = [contestant.row for contestant in rows]
+            contestant.check(not options.quick, table)
     machine = f"{cpu_model()}, {len(os.sched_getaffinity(0))} cores"
-    if options.json:
-        print(json.dumps({"machine": machine, "repeats": repeats, "rows": [asdict(row) for row in table]}, indent=1))
-    else:
-        report(table, machine, repeats)
+    report([contestant.row for contestant in rows], machine, repeats)
 
 
 def rate(contestant: Clunk | Peer, cores: int, at_least: float) -> float:
