@@ -24,14 +24,11 @@ class Variable:
     dims : their names; a variable named after its only dimension is the coordinate of that
     values : in the shape of the dimensions; along one of `COUNTED_BY`, the entries of all cells in C order, flat
     attributes : texts, numbers and arrays by name; `units` and `long_name` are among them
-    apart : how many dimensions, the last, are not mixed in a chunk of a file: the first impacts of neighbouring cells
-        are more alike than a cell's first and second, and whoever reads the first ones need not read the others
     """
 
     dims: tuple[str, ...]
     values: Array
     attributes: Mapping[str, str | Array]
-    apart: int = 0
 
 
 @dataclass(frozen=True, eq=False)

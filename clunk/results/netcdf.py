@@ -13,13 +13,9 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 import os
-import zlib
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from itertools import product, repeat
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +24,6 @@ import numpy as np
 
 from clunk.results.dataset import COUNTED_BY, Dataset, Variable, has_entry
 from clunk.results.files import reason, write_whole, writing
-from clunk.results.machine import available_cores
 from clunk.study.arrays import Array
 from clunk.study.document import nearest_file
 from clunk.study.errors import ClunkError
@@ -42,8 +37,8 @@ _LENGTH = len(_MARK) + 64 + 1  # `head -c -78 FILE | sha256sum` gives the same d
 _END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # superblock version -> where it has the address of the end of the file
 
 # On the map of Figure 3.4 levels 1 to 6 differ by 1 % in size, and 6 takes three times as long.
-_COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-_CHUNK_BYTES = 1 << 20  # HDF5's chunk cache, so that every chunk is compressed once
+_COMPRESSION = {"chunks": True, "compression": "gzip", "compression_opts": 1, "shuffle": True}
+_SMALL = 4096  # bytes of values that would only grow by compression
 _BEST_RATIO = 1100  # of deflate, which makes at most 258 bytes of two bits: 1032
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
 
@@ -82,43 +77,30 @@ def write(path: str | os.PathLike[str], dataset: Dataset, scratch: Path | None =
         names = " ".join(dataset.variables)
         own = {"Conventions": "CF-1.11", "variables": names, "content_digest": content_digest(dataset)}
         _set_attributes(file, {**dataset.attributes, **own})
-        with ThreadPoolExecutor(min(available_cores(), 8), thread_name_prefix="clunk-zlib") as pool:
-            for name, variable in dataset.variables.items():
-                stored = _create(file, name, variable)
-                _write_values(stored, dataset.padded(name), pool)
+        for name, variable in dataset.variables.items():
+            _create(file, name, variable, dataset.padded(name))
     content = image.getbuffer()
     with writing(path) as target:
         write_whole(target, lambda stream: stream.writelines([content, _trailer(content)]), scratch)
 
 
-def _create(file: h5py.File, name: str, variable: Variable) -> h5py.Dataset:
-    """Create a dimension or a variable along some, still without its values; a variable compressed where that pays."""
+def _create(file: h5py.File, name: str, variable: Variable, values: Array) -> None:
+    """Write a dimension or a variable along some; a variable compressed where that pays."""
     # Words of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
-    dtype = h5py.string_dtype() if variable.values.dtype.kind == "U" else variable.values.dtype
-    is_dimension = variable.dims == (name,)
-    shape = variable.values.shape if is_dimension else tuple(len(file[dim]) for dim in variable.dims)
-    filters: dict[str, Any] = {}
-    if not is_dimension and dtype.itemsize * math.prod(shape) > 4096:  # a smaller one would only grow
-        together = len(shape) - variable.apart
-        filters = {"chunks": (*_chunks(shape[:together], dtype.itemsize), *[1] * variable.apart), **_COMPRESSION}
-    stored = file.create_dataset(name, shape, dtype, track_order=True, **filters)
+    is_text, is_dimension = values.dtype.kind == "U", variable.dims == (name,)
+    stored = file.create_dataset(
+        name,
+        data=values.astype(object) if is_text else values,
+        dtype=h5py.string_dtype() if is_text else values.dtype,
+        track_order=True,
+        **({} if is_dimension or values.nbytes <= _SMALL else _COMPRESSION),
+    )
     _set_attributes(stored, variable.attributes)
     if is_dimension:
         stored.make_scale(name)
     else:
         for dimension, dim in zip(stored.dims, variable.dims, strict=True):
             dimension.attach_scale(file[dim])
-    return stored
-
-
-def _chunks(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Shape of chunks: as many whole trailing dimensions as stay within the chunk cache."""
-    room = _CHUNK_BYTES // itemsize
-    chunk = []
-    for count in reversed(shape):
-        chunk.append(min(count, max(1, room)))
-        room //= chunk[-1]
-    return tuple(reversed(chunk))
 
 
 def _set_attributes(target: h5py.File | h5py.Dataset, attributes: Mapping[str, str | Array]) -> None:
@@ -130,31 +112,6 @@ def _set_attributes(target: h5py.File | h5py.Dataset, attributes: Mapping[str, s
         else:
             dtype = h5py.string_dtype("ascii" if value.isascii() else "utf-8", max(1, len(raw)))
             target.attrs.create(name, np.bytes_(raw), dtype=dtype)
-
-
-def _write_values(stored: h5py.Dataset, values: Array, pool: ThreadPoolExecutor) -> None:
-    """Write a variable's values, its chunks compressed on every core: HDF5 compresses on one thread."""
-    chunk = stored.chunks
-    if chunk is None:
-        stored[...] = values.astype(object) if values.dtype.kind == "U" else values
-        return
-    places = [*product(*(range(0, count, step) for count, step in zip(values.shape, chunk, strict=True)))]
-    parts = (values[tuple(slice(at, at + step) for at, step in zip(place, chunk, strict=True))] for place in places)
-    for place, deflated in zip(places, pool.map(_deflated, parts, repeat(chunk)), strict=True):
-        stored.id.write_direct_chunk(place, deflated)
-
-
-def _deflated(part: Array, shape: tuple[int, ...]) -> bytes:
-    """Shuffle and deflate a chunk as HDF5's filters do; one over the edge is filled up with zeros.
-
-    Run-length coding takes 60 % of the time of zlib's search at level 1, and up to 25 % more bytes: shuffled, the high
-    bytes of neighbouring numbers are runs, and the low ones are noise.
-    """
-    if part.shape != shape:
-        part = np.pad(part, [(0, full - count) for full, count in zip(shape, part.shape, strict=True)])
-    planes = np.ascontiguousarray(part).view(np.uint8).reshape(-1, part.itemsize).T
-    deflate = zlib.compressobj(1, zlib.DEFLATED, strategy=zlib.Z_RLE)
-    return deflate.compress(np.ascontiguousarray(planes).data) + deflate.flush()
 
 
 # --- reading

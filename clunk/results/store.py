@@ -120,7 +120,7 @@ def dataset_of(results: AnyMap) -> Dataset:
         if each.of == "cell" and results.lashes:
             values, dims = values[..., 0], of_cell
         dims = (*dims, each.dimension) if each.dimension else dims
-        variables[name] = Variable(dims, values, attributes, apart=len(dims) - len(of_cell))
+        variables[name] = Variable(dims, values, attributes)
     if results.boundaries is not None:
         variables |= variables_of(results.boundaries)
     own = {"title": results.title, "config": results.config, "config_digest": results.config_digest}
