@@ -201,9 +201,8 @@ class TestFailedRuns:
         (here / "failing.toml").write_text(to_toml(failing))
         code, out, err = command("sweep", "failing.toml", "-o", "map.h5")
         assert code == 3
-        assert "of 48 runs failed" in err
+        assert "of 48 runs, in" in out
         assert "failed for some draws: more events" in " ".join(err.split())
-        assert out.splitlines()[-1].startswith("another most likely label")
         code, _, err = command("sweep", "failing.toml", "-o", "map.h5")
         assert code == 3
         assert "already complete" in err
@@ -302,7 +301,7 @@ class TestCommands:
         code, out, err = command("sweep", config)
         assert code == 0
         assert "77 cells x 8 draws in" in err
-        assert "uncertain (no label has 95% of the 8 draws)" in out
+        assert "no label has 95% of the 8 draws" in " ".join(out.split())
         assert all(len(line) <= 80 for line in (out + err).splitlines())
         code, again, err = command("sweep", config)
         assert (code, again) == (0, out)

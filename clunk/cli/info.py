@@ -30,13 +30,10 @@ def info(file: Path, show_config: bool, show_map: bool, check: bool, as_json: bo
     """
     from clunk.cli.textmap import is_drawable
     from clunk.results import netcdf, store
-    from clunk.results.quantities import REGIME_QUANTITIES
-    from clunk.results.tolerancemap import ToleranceMap
     from clunk.study.loads import PROFILES, numbers
 
     has_checksum = netcdf.check(file) if check else False
     results = store.read_map(file)
-    tolerances = results if isinstance(results, ToleranceMap) else None
     if show_map and as_json:
         raise click.UsageError("--map is for people and does not go with --json; clunk export writes each cell.")
     if show_map and not is_drawable(results.axes[:-1] if results.lashes else results.axes):
@@ -64,12 +61,7 @@ def info(file: Path, show_config: bool, show_map: bool, check: bool, as_json: bo
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": has_checksum}} if check else {}
         tables.print_record(record | results.attributes | checked)
         return
-    rows = [("lashes" if axis.words else "axis", f"{axis.parameter}: {axis.spread}") for axis in results.axes]
-    rows += [("along run", f"{axis.parameter}: {axis.spread}") for axis in results.coordinates]
-    rows += [("drawn", f"{each.name}: {each.spread}") for each in results.sample]
-    for quantity in results.quantities.values() if tolerances is None else ():
-        if not quantity.dimension and quantity.name not in REGIME_QUANTITIES:
-            rows.append(("measured", f"{quantity.name}: {quantity.words} [{quantity.unit_symbol}]"))
+    rows = [*results.summary()]
     load = results.setting("load")
     if load is not None:
         swept = {axis.parameter for axis in results.parameters}

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import terminal
 from clunk.study.records import Record, Row, fill, plain, table, text_of, value_lines
-from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from clunk.results.boundaries import Boundaries
-    from clunk.results.tolerancemap import AnyMap, ToleranceMap
-
-Value = TypeVar("Value")
+    from clunk.results.tolerancemap import AnyMap
 
 
 def print_record(record: object) -> None:
@@ -47,8 +43,8 @@ def print_map(results: AnyMap) -> None:
     """Print the map of each lash as text."""
     from clunk.cli.textmap import text_map
 
-    maps = {name: text_map(part) for name, part in results.by_lash().items()}
-    print_lashes(maps, lambda lines: click.echo("\n".join(lines)))
+    for name, part in results.by_lash().items():
+        click.echo("\n".join([*([name] if results.lashes else []), *text_map(part)]))
 
 
 def of_lashes(values: dict[str, Any]) -> Any:
@@ -56,78 +52,35 @@ def of_lashes(values: dict[str, Any]) -> Any:
     return values if len(values) > 1 else next(iter(values.values()))
 
 
-def print_lashes(values: dict[str, Value], show: Callable[[Value], None]) -> None:
-    """Print values by lash, each under the lash's name if there are several."""
-    for k, (name, value) in enumerate(values.items()):
-        if len(values) > 1:
-            click.echo(("\n" if k else "") + name)
-        show(value)
-
-
-def print_counts(counts: dict[str, int]) -> None:
-    """Print the number and the share of cells of each label."""
-    total = sum(counts.values())
-    print_table(
-        [
-            {"label": label, "cells": f"{count:,}", "share": f"{count / total:.1%}"}
-            for label, count in counts.items()
-            if label != "failed" or count
-        ]
-    )
-
-
-def print_tolerances(tolerances: ToleranceMap) -> None:
-    """Print how often each label is the most likely one, its share of all runs, and the number of uncertain cells."""
-    from clunk.results.tolerancemap import CERTAIN
-
-    counts, shares = tolerances.counts(), tolerances.shares()
-    cells = sum(counts.values())
-    print_table(
-        [
-            {"label": label, "cells where it is most likely": f"{count:,}", "share of all runs": f"{shares[label]:.4%}"}
-            for label, count in counts.items()
-            if label != "failed" or shares[label]
-        ]
-    )
-    moved = int((tolerances.sequence != tolerances.nominal_sequence).sum())
-    click.echo()
-    click.echo(
-        f"uncertain (no label has {CERTAIN:.0%} of the {tolerances.draws:,} draws): {tolerances.uncertain:,} of "
-        f"{counted(cells, 'cell')}\nanother most likely label than without tolerances: {moved:,}"
-    )
-    if tolerances.failed:
-        affected = counted(int((tolerances.runs[..., -1] > 0).sum()), "cell")
-        terminal.complain(f"{tolerances.failed:,} of {cells * tolerances.draws:,} runs failed, in {affected}")
-
-
 def print_outcomes(results: AnyMap) -> None:
-    """Print how many cells each label has, lash by lash, or how likely it is."""
-    from clunk.results.tolerancemap import ToleranceMap
-
-    if isinstance(results, ToleranceMap):
-        print_lashes(results.by_lash(), print_tolerances)
-    else:
-        print_lashes(results.counts_of_lashes, print_counts)
+    """Print how many cells each label has, or how likely it is, and other facts; lash by lash."""
+    for name, part in results.by_lash().items():
+        if results.lashes:
+            click.echo(name)
+        print_table(part.label_table())
+        click.echo()
+        print_values(part.facts)
 
 
 def outcomes(results: AnyMap) -> dict[str, Any]:
     """How many cells each label has, or how likely it is, for JSON; of several lashes, by lash."""
     from clunk.results.tolerancemap import ToleranceMap
 
+    parts = results.by_lash()
     if not isinstance(results, ToleranceMap):
-        return {"counts": of_lashes(results.counts_of_lashes)}
+        return {"counts": of_lashes({name: part.counts() for name, part in parts.items()})}
     records = {
         name: {
-            "cells": sum(each.counts().values()),
-            "draws": each.draws,
-            "counts": each.counts(),
-            "shares": each.shares(),
-            "uncertain_cells": each.uncertain,
-            "failed_runs": each.failed,
+            "cells": part.sequence.size,
+            "draws": part.draws,
+            "counts": part.counts(),
+            "shares": part.shares(),
+            "uncertain_cells": part.uncertain,
+            "failed_runs": part.failed,
         }
-        for name, each in results.by_lash().items()
+        for name, part in results.by_lash().items()
     }
-    return {"lashes": records} if len(records) > 1 else of_lashes(records)
+    return {"lashes": records} if results.lashes else of_lashes(records)
 
 
 def print_boundaries(boundaries: Boundaries) -> None:

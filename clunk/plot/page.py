@@ -84,8 +84,8 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
     facets = [axis.parameter for axis in surplus[: len(MOST_VALUES)]]
     for name in default_quantities(part, facets=facets):
         yield _svg(draw(part, name, thresholds, facets=facets), name)
-    summary, labels = part.html_tables()
-    yield f"{summary}<h3>Labels</h3>{labels}"
+    heads, *rows = columns_of(part.label_table())
+    yield f"{html_table([*part.summary(), *part.facts])}<h3>Labels</h3>{html_table(rows, heads)}"
     counts = ((status, int((part.status == status).sum())) for status in Status if status != Status.OK)
     failures = [(f"{count:,}", status.sentence) for status, count in counts if count]
     if failures:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from clunk.results.quantities import Quantity
 from clunk.study.arrays import Array, Floats, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
-from clunk.study.summaries import Rows, as_text, counted, html_table
+from clunk.study.summaries import Rows, as_text, counted
 
 Index = tuple[slice | int, ...]
 
@@ -55,8 +55,6 @@ class Map(ABC):
     Raises ValueError where these do not belong together: where the arrays are not those of the map's quantities, an
     array's shape or dtype is not its quantity's, or a code has no label.
     """
-
-    _measure: ClassVar[str]  # heading of the texts of `_label_rows`
 
     title: str
     axes: tuple[ResultAxis, ...]
@@ -192,17 +190,6 @@ class Map(ABC):
         cells = np.bincount(sequence - FAILED_CODE, minlength=len(self.labels) + 1).tolist()
         return dict(zip((*self.labels, FAILED), (*cells[1:], cells[0]), strict=True))
 
-    @property
-    def counts_of_lashes(self) -> dict[str, dict[str, int]]:
-        """The counts of each lash, by name; of several lashes without the labels that only others have."""
-        counts = {name: part.counts() for name, part in self.by_lash().items()}
-        if not self.lashes:
-            return counts
-        return {
-            name: {label: count for label, count in each.items() if count or label == FAILED}
-            for name, each in counts.items()
-        }
-
     def by_lash(self) -> dict[str, Self]:
         """The map of each lash, by name."""
         return {name: self.of_lash(name) for name in self.lash_names}
@@ -237,21 +224,25 @@ class Map(ABC):
         boundaries = self.boundaries if is_whole and is_theirs else None
         return replace(self, axes=axes, coordinates=coordinates, arrays=arrays, boundaries=boundaries)
 
-    @abstractmethod
-    def _label_rows(self) -> Rows:
-        """Pairs of a label and its part of the map, for people."""
-
     def summary(self) -> Rows:
-        """Pairs of a name and a value that describe the map, for people."""
-        rows = [(axis.parameter, axis.spread) for axis in self.axes]
-        return rows + [(axis.parameter, f"{axis.spread}, along {RUN}") for axis in self.coordinates]
+        """Pairs of a name and a value on what was swept and drawn, for people."""
+        rows = [("axis", f"{axis.parameter}: {axis.spread}") for axis in self.axes]
+        rows += [("along run", f"{axis.parameter}: {axis.spread}") for axis in self.coordinates]
+        return rows + [("drawn", f"{each.name}: {each.spread}") for each in self.sample]
+
+    @abstractmethod
+    def label_table(self) -> list[dict[str, str]]:
+        """A row for each label that occurs, with its part of the map, for people: texts by heading."""
+
+    @property
+    @abstractmethod
+    def facts(self) -> Rows:
+        """Pairs of a name and a value on what the labels leave out, for people."""
 
     def __repr__(self) -> str:
-        return as_text(f"clunk.{type(self).__name__} {self.title!r}", [*self.summary(), *self._label_rows()])
-
-    def html_tables(self) -> tuple[str, str]:
-        """The summary and the labels as tables of HTML."""
-        return html_table(self.summary()), html_table(self._label_rows(), ("label", self._measure))
+        labels = [tuple(row.values()) for row in self.label_table()]
+        rows = [*self.summary(), *self.facts, *((label, ", ".join(numbers)) for label, *numbers in labels)]
+        return as_text(f"clunk.{type(self).__name__} {self.title!r}", rows)
 
 
 def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,8 +44,6 @@ class Results(Map):
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
     """
-
-    _measure: ClassVar[str] = "cells"
 
     sequence: npt.NDArray[np.int16]
     severity: Floats
@@ -152,9 +150,16 @@ class Results(Map):
         cell["quality"] = [name for bit, name in QUALITY_MEANINGS.items() if cell["quality"] & bit]
         return cell | {name: self.values(name)[impacts] for name, each in self.quantities.items() if each.dimension}
 
-    def summary(self) -> Rows:
-        """Pairs of a name and a value that describe the map, for people."""
-        rows = [*super().summary()]
+    def label_table(self) -> list[dict[str, str]]:
+        """See `Map.label_table`: the number of cells, and their share."""
+        cells = self.sequence.size
+        counts = self.counts().items()
+        return [{"label": label, "cells": f"{n:,}", "share": f"{n / cells:.1%}"} for label, n in counts if n]
+
+    @property
+    def facts(self) -> Rows:
+        """See `Map.facts`: the range of the severity, and how many cells have each quality."""
+        rows = []
         if np.isfinite(self.severity).any():
             quantity = REGIME_QUANTITIES["severity"]
             spread = f"{np.nanmin(self.severity):.0f} to {np.nanmax(self.severity):.0f} {quantity.unit_symbol}"
@@ -162,10 +167,6 @@ class Results(Map):
         counts = {name: int(np.count_nonzero(self.quality & bit)) for bit, name in QUALITY_MEANINGS.items()}
         rows += [(name, share(count, self.sequence.size)) for name, count in counts.items() if count]
         return rows if self.boundaries is None else [*rows, *self.boundaries.summary()]
-
-    def _label_rows(self) -> Rows:
-        cells = self.sequence.size
-        return [(label, share(n, cells)) for label, n in self.counts().items() if n]
 
 
 def quantities_of_config(config: str) -> dict[str, Quantity]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,8 +36,6 @@ class ToleranceMap(Map):
         Hyndman and Fan, doi:10.2307/2684934)
     status : shape, how the first run that failed ended (see `clunk.core.status`), 0 where none did
     """
-
-    _measure: ClassVar[str] = "probability"
 
     probability: Floats
     sequence: npt.NDArray[np.int16]
@@ -136,14 +133,27 @@ class ToleranceMap(Map):
         names = (*self.labels, FAILED)
         return {name: int(count) / int(total.sum()) for name, count in zip(names, total, strict=True)}
 
-    def summary(self) -> Rows:
-        """Pairs of a name and a value that describe the map, for people."""
-        drawn = [(each.parameter, f"drawn {each.spread}") for each in self.sample]
-        return [*super().summary(), *drawn, (f"below {CERTAIN:.0%}", share(self.uncertain, self.sequence.size))]
+    def label_table(self) -> list[dict[str, str]]:
+        """See `Map.label_table`: the cells in which it is the most likely one, and its share of all runs."""
+        counts = self.counts()
+        return [
+            {"label": label, "cells where it is most likely": f"{counts[label]:,}", "share of all runs": f"{part:.4%}"}
+            for label, part in self.shares().items()
+            if part
+        ]
 
-    def _label_rows(self) -> Rows:
-        shares = self.shares().items()
-        return [(label, f"{part:.4%} of all runs") for label, part in shares if part]
+    @property
+    def facts(self) -> Rows:
+        """See `Map.facts`: how many cells are uncertain, have moved, or have runs that failed."""
+        cells = self.sequence.size
+        moved = int(np.count_nonzero(self.sequence != self.nominal_sequence))
+        rows = [
+            ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {self.draws:,} draws"),
+            ("moved", f"{share(moved, cells)}: another most likely label than without tolerances"),
+        ]
+        affected = counted(int((self.runs[..., FAILED_CODE] > 0).sum()), "cell")
+        failed = ("failed", f"{self.failed:,} of {cells * self.draws:,} runs, in {affected}")
+        return [*rows, failed] if self.failed else rows
 
 
 def most_likely(runs: npt.NDArray[np.int32]) -> npt.NDArray[np.int16]:
