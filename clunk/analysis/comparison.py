@@ -37,7 +37,6 @@ from clunk.sweeping.progress import Progress, reporting
 Method = Literal["rk4", "exact"]
 
 METHODS: tuple[Method, Method] = ("rk4", "exact")
-_SMALL = 0.01  # of the map's largest value: below it a relative difference says nothing
 _SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in another way differ by rounding
 _ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
 
@@ -75,7 +74,6 @@ class Difference(Record):
     quantity : of `Results`
     unit : of the quantity and of the difference
     over_largest : the difference over B's largest value
-    over_own : the largest difference over B's value itself, where that is 1 % of the largest or more; NaN where none is
     at : the cell that has the difference
     touches : of that cell; where A and B have not as many, one of them may have lost a weak rebound
     """
@@ -84,7 +82,6 @@ class Difference(Record):
     difference: float = told("difference", form=".1e")
     unit: str = told("unit")
     over_largest: float = told("over largest", form=".1e")
-    over_own: float = told("over own", form=".1e")
     at: dict[str, float | str] = told("at")
     touches: dict[str, int] = told()
 
@@ -337,16 +334,14 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
         defined = np.isfinite(mine) & np.isfinite(theirs)
         if not defined.any():
             continue
-        difference, size = np.abs(mine - theirs)[defined], np.abs(theirs)[defined]
+        difference = np.abs(mine - theirs)[defined]
         largest, k = float(np.nanmax(np.abs(all_values))), int(difference.argmax())
         at = np.unravel_index(cells_b[is_equal[cells_b]][defined][k], b.shape)
-        counted = (size >= _SMALL * largest) & (size > 0.0)
         yield Difference(
             quantity=name,
             difference=float(difference[k]),
             unit=REGIME_QUANTITIES[name].unit_symbol,
             over_largest=float(difference[k]) / largest if largest > 0.0 else 0.0,
-            over_own=float(np.max(difference[counted] / size[counted])) if counted.any() else math.nan,
             at=at_cell(b.parameters, values_at(b.axes, at, b.coordinates)),
             touches={"a": int(a.touches[at]), "b": int(b.touches[at])},
         )

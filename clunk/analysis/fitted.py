@@ -36,7 +36,7 @@ from clunk.sweeping.sweep import sweep
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
 _SEED = 2  # of the draws that become tolerances, beside the fit's
-_COUNT = 81  # values of a map's axis that the config does not sweep
+_COUNT = 81  # values of a map's axis
 _BEYOND = 0.15  # of the measured span, on either side of it
 
 
@@ -426,27 +426,23 @@ def fit_maps(fitted: Fitted, workers: int | None = None) -> tuple[Results, Resul
 
     Raises ClunkError unless two parameters were measured, each at two values or more.
     """
-    axes = tuple(_axis(fitted, k) for k in range(len(fitted.axes)) if np.ptp(fitted.points[:, k]) > 0.0)
-    if len(axes) != 2:
-        raise ClunkError(f"A map has two measured parameters that vary; {fitted.experiment.name} has {len(axes)}.")
-    first = zip(fitted.axes, fitted.points[0].tolist(), strict=True)
-    varying = [axis.parameter for axis in axes]
-    fixed = tuple(Axis(parameter=key, values=(value,)) for key, value in first if key not in varying)
-    study = fitted.study.model_copy(update={"sweep": Sweep(axes=(*axes, *fixed))})
+    varying = [k for k in range(len(fitted.axes)) if np.ptp(fitted.points[:, k]) > 0.0]
+    if len(varying) != 2:
+        raise ClunkError(f"A map has two measured parameters that vary; {fitted.experiment.name} has {len(varying)}.")
+    fixed = [k for k in range(len(fitted.axes)) if k not in varying]
+    axes = [_axis(fitted, k) for k in varying]
+    axes += [Axis(parameter=fitted.axes[k], values=(float(fitted.points[0, k]),)) for k in fixed]
+    study = fitted.study.model_copy(update={"sweep": Sweep(axes=tuple(axes))})
     studies = study.model_copy(update={"fit": None}), fitted_study(replace(fitted, study=study))
     before, after = (sweep(each, workers=workers).of_lash(fitted.lash) for each in studies)
     return before, replace(after, axes=before.axes)
 
 
 def _axis(fitted: Fitted, k: int) -> Axis:
-    """The config's axis over a measured parameter, or one that reaches a little beyond the measured values."""
-    parameter, values, swept = fitted.axes[k], fitted.points[:, k], fitted.study.sweep
-    for axis in swept.axes if swept is not None and swept.design == "grid" else ():
-        if axis.parameter == parameter and axis.count_of_values > 1:
-            return axis
+    """An axis that reaches a little beyond the values of a measured parameter, where that is allowed."""
+    parameter, values = fitted.axes[k], fitted.points[:, k]
     key = key_at(located(fitted.study, parameter)[0])
     assert key is not None
-    beyond = _BEYOND * float(np.ptp(values))
-    start, stop = max(values.min() - beyond, key.lowest), min(values.max() + beyond, key.highest)
-    start = start if key.allows(start) else values.min()
-    return Axis(parameter=parameter, start=float(start), stop=float(stop), count=_COUNT)
+    low, high, beyond = values.min(), values.max(), _BEYOND * np.ptp(values)
+    start, stop = max(low - beyond, key.lowest), min(high + beyond, key.highest)
+    return Axis(parameter=parameter, start=float(start if key.allows(start) else low), stop=float(stop), count=_COUNT)

@@ -149,18 +149,15 @@ class Problem:
         self.study = measuring(nominal(study), [*self._conditions, *self._numbers])
         design = design_of(self.study)
         self._cells = design.at(np.arange(design.cells)) if design.shape else {}
-        self._tolerances = study.sweep.tolerances if study.sweep is not None and has_tolerances(study) else ()
+        self._tolerances = study.sweep.tolerances if study.sweep is not None else ()
         self._drawn = drawn_numbers(study, self._tolerances) if self._tolerances else []
-        self.shape = design.cells, study.sweep.sampling.count if study.sweep is not None and self._tolerances else 1
+        self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
         if swept := {key for each in free for key in each.keys} & self._cells.keys():
             raise ClunkError(f"{min(swept)} is both free and swept: leave out its axis.")
-        keys = [
-            *(key for each in free for key in each.keys),
-            *self._cells,
-            *(each.parameter for each in self._tolerances),
-        ]
-        self._runner = Runner(self.study, list(dict.fromkeys(keys)), workers=workers)
+        keys = [key for each in free for key in each.keys]
+        keys += [*self._cells, *(each.parameter for each in self._tolerances)]
+        self._runner = Runner(self.study, [*dict.fromkeys(keys)], workers=workers)
         values = [nominal_value(study, each.keys[0]) for each in free]
         self.start = np.where(np.isnan(values), 0.5 * (self.low + self.high), values)
         self.before = self(self.start[None])

@@ -10,7 +10,6 @@ import numpy as np
 from bokeh.models import ColorBar, DataRange1d, Div, LinearColorMapper, Model, Range1d
 from bokeh.plotting import figure
 from matplotlib.colors import to_hex
-from scipy import ndimage
 
 from clunk.explorer.message import Changes, columns, source
 from clunk.plot.labelling import roomiest
@@ -201,15 +200,9 @@ def _names(regions: Codes, layers: Layers, x: Floats, y: Floats) -> list[tuple[s
     regions, x, y = regions[::_SKIP, ::_SKIP], x[::_SKIP], y[::_SKIP]
     names = []
     for name in layers.seen:
-        parts, count = ndimage.label(regions == layers.names.index(name))
-        if not count:
-            continue
-        largest = 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
-        rows, columns = ndimage.find_objects(parts)[largest - 1]
-        centre = roomiest(parts[rows, columns] == largest, _WIDTH * (len(name) + 1), _HEIGHT)
+        centre = roomiest(regions == layers.names.index(name), _WIDTH * (len(name) + 1), _HEIGHT)
         if centre is not None:
-            column, row = columns.start + int(centre[0]), rows.start + int(centre[1])
-            names.append((name, float(x[column]), float(y[row])))
+            names.append((name, float(x[int(centre[0])]), float(y[int(centre[1])])))
     return names
 
 

@@ -20,8 +20,6 @@ from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 
-_FEW = 60  # samples, each of which is marked on the curve
-
 
 def draw(
     drawn: AnyMap,
@@ -99,26 +97,22 @@ def strip(drawn: AnyMap, quantity: str = "severity") -> Figure:
     for edge in edges[1:-1]:
         band.axvline(edge, color=style.INK, linewidth=0.9, zorder=2)
         ax.axvline(edge, color=style.FAINT_INK, linewidth=0.6, linestyle=style.DASHED, zorder=1)
-    # The quantity jumps between regimes.
-    for cells in np.split(np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1):
-        marker = "o" if samples.size <= _FEW or cells.size == 1 else ""
+    for cells in np.split(
+        np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1
+    ):  # it jumps between regimes
         ax.plot(
             samples[cells],
             values[cells],
-            marker=marker,
+            "o-",
             color=style.LINE_COLOURS[0],
-            linewidth=1.5,
-            markersize=3.0,
+            markersize=min(3.0, 300.0 / samples.size),
             clip_on=False,
             zorder=3,
         )
     scale_axis(ax, "x", layers.view.x)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylabel(of_quantity.value_label)
-    if not np.nanmin(values) < 0.0:
-        ax.set_ylim(bottom=0.0)
-    elif np.nanmax(values) > 0.0:
-        ax.axhline(0.0, color=style.INK, linewidth=0.8, zorder=2)
+    ax.axhline(0.0, color=style.INK, linewidth=0.8, zorder=2)
     style.tidy(ax)
     band.set_yticks([])
     band.tick_params(bottom=False, labelbottom=False)

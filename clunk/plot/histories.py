@@ -306,62 +306,25 @@ def small_gap(title: str, response: SmallGap) -> Figure:
     n_c = t_c ω1 / 2π = ln(σr) / (2π ζ1) periods fit in (report Eq. 3.1, where 2π is missing), with σr = ΔF / F_end.
     """
     values = f"{symbol_text('σr')} = {response.ratio:.4g}, {symbol_text('ζ1')} = {response.damping_ratio:.3f}"
-    if _crosses_zero(response):
-        time = f"{symbol_text('tc')} - {symbol_text('t0')} = {response.characteristic_time:.3g} s"
-        formula = f"{symbol_text('nc')} = ln({symbol_text('σr')}) / (2π {symbol_text('ζ1')}) = {response.periods:.2f}"
-        text = f"{values}: {formula} periods of {1.0 / response.frequency:.3g} s until {time.replace('-', MINUS)}"
-    else:
-        text = f"{values}: the exponential decay never crosses zero"
     figure = style.new_figure((_WIDTH, 4.8))
     ax = figure.add_subplot()
-    _draw_small_gap(ax, response)
-    line = f"limit of vanishing backlash, the lash always closed; {text}"
-    style.lay_out(figure, ax, title, line, ax.get_legend_handles_labels()[0], parse_math=True)
-    return figure
-
-
-def _draw_small_gap(ax: Axes, response: SmallGap) -> None:
-    """Draw the response, its exponential decay, and the characteristic time where that crosses zero."""
-    t0, reach = response.step_time, abs(response.start - response.end)
-    blue, orange = LINE_COLOURS[:2]
-    swing = reach * np.exp(-response.decay * (response.time - t0))
-    decay: dict[str, Any] = {"color": orange, "linewidth": 1.1, "linestyle": style.DASHED}
-    ax.plot(response.time, response.end + swing, label="exponential decay", **decay)
-    ax.plot(response.time, response.end - swing, **decay)
-    time = np.append(t0 - 0.06 * (response.time[-1] - t0), response.time)
-    torque = np.append(response.start, response.torque)
-    ax.plot(time, torque, color=blue, linewidth=1.5, zorder=4, label="response")
-    opposite = (torque * np.sign(response.start) < 0.0).tolist()
-    ax.fill_between(
-        time,
-        torque,
-        0.0,
-        label="on the opposite flank",
-        where=opposite,
-        interpolate=True,
-        color=blue,
-        alpha=0.2,
-        linewidth=0.0,
-    )
+    time, zero = response.time, response.step_time + response.characteristic_time
+    swing = abs(response.start - response.end) * np.exp(-response.decay * (time - response.step_time))
+    for side, label in ((1.0, "exponential decay"), (-1.0, "")):
+        ax.plot(time, response.end + side * swing, color=LINE_COLOURS[1], linestyle=style.DASHED, label=label)
+    ax.plot(time, response.torque, color=LINE_COLOURS[0], linewidth=1.5, zorder=4, label="response")
     ax.axhline(0.0, color=INK, linewidth=1.0, zorder=2)
     ax.axhline(response.end, color=FAINT_INK, linewidth=0.9, linestyle=(0, (1.0, 2.0)), label="equilibrium")
-    if _crosses_zero(response):
-        label = f"characteristic time {symbol_text('tc')}"
-        ax.plot(
-            t0 + response.characteristic_time,
-            0.0,
-            zorder=6,
-            gid="tc",
-            label=label,
-            marker="o",
-            linestyle="none",
-            color=orange,
-            markeredgecolor=INK,
+    crossing = "the exponential decay never crosses zero"
+    if response.periods > 0.0 and np.isfinite(response.periods):
+        formula = f"{symbol_text('nc')} = ln({symbol_text('σr')}) / (2π {symbol_text('ζ1')})"
+        crossing = (
+            f"{formula} = {response.periods:.2f} periods of {1.0 / response.frequency:.3g} s until it crosses zero"
         )
+        label = f"characteristic time {symbol_text('tc')}"
+        ax.plot(zero, 0.0, "o", color=LINE_COLOURS[1], markeredgecolor=INK, zorder=6, gid="tc", label=label)
     ax.set(xlabel="Time [s]", ylabel="Torque across the lash [N m]", xlim=time[[0, -1]])
     style.tidy(ax)
-
-
-def _crosses_zero(response: SmallGap) -> bool:
-    """Whether the exponential decay crosses zero at some time after the load step."""
-    return bool(response.periods > 0.0 and np.isfinite(response.periods))
+    line = f"limit of vanishing backlash, the lash always closed; {values}: {crossing}"
+    style.lay_out(figure, ax, title, line, ax.get_legend_handles_labels()[0], parse_math=True)
+    return figure

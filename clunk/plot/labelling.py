@@ -23,9 +23,6 @@ SIZES, SMALL_SIZES = (10.5, 9.5, 8.5, 8.0), (8.5, 7.5, 6.5)  # points, tried in 
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
 _NOWHERE = -2  # no region, so that no name is written there
 _ROOM = 0.22  # of a text's size, around it
-_STEEP = 5.0  # degrees: less is no slope
-_SMALLEST_REPEAT = 1e-2  # of the map's area: a further region of a label that has its text already
-_MOST_PARTS = 4  # regions of one label that are looked at, the largest first
 # Where a text goes beside its point, the first that is free: right, left, above, below, then askew, then further away.
 _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
 _FURTHER = (1.0, 2.2)
@@ -108,55 +105,32 @@ def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float] = S
 
     sizes : that are tried
     """
-    codes = np.where(raster.taken, _NOWHERE, raster.codes)
-    written = set()
+    codes, without = np.where(raster.taken, _NOWHERE, raster.codes), []
     for code, name in enumerate(names):
-        parts, count = ndimage.label(codes == code)
-        boxes, areas = ndimage.find_objects(parts), np.bincount(parts.ravel(), minlength=count + 1)[1:]
-        for rank, part in enumerate(np.argsort(-areas, kind="stable")[:_MOST_PARTS]):
-            if rank and areas[part] < _SMALLEST_REPEAT * parts.size:
-                break
-            if _write_inside(raster, parts[boxes[part]] == part + 1, boxes[part], name, sizes):
-                written.add(name)
-    return [name for name in names if name not in written]
-
-
-def _write_inside(raster: Raster, mask: Bools, box: tuple[slice, slice], text: str, sizes: Sequence[float]) -> bool:
-    """Write a text at the roomiest place wholly inside a region, level or along it; False where there is no room.
-
-    mask, box : the region's pixels in its bounding box, and where that is
-    """
-    crop, slope = np.pad(mask, 1), _slope(mask)
-    for size in sizes:
-        width, height = raster.measure(text, size)
-        for angle in (0.0, slope) if abs(slope) > _STEEP else (0.0,):
-            centre = roomiest(crop, width, height, angle) if mask.sum() >= width * height else None
+        for size in sizes:
+            centre = roomiest(codes == code, *raster.measure(name, size))
             if centre is not None:
-                x, y = box[1].start - 1 + centre[0], box[0].start - 1 + centre[1]
-                raster.write(text, x, y, size, rotation=angle)
-                return True
-    return False
+                raster.write(name, *centre, size)
+                break
+        else:
+            without.append(name)
+    return without
 
 
-def _slope(mask: Bools) -> float:
-    """Angle of a region's longer axis of inertia, -90 to 90 degrees."""
-    rows, columns = np.nonzero(mask)
-    (xx, xy), (_, yy) = np.cov(columns, rows, ddof=0) if rows.size > 1 else np.zeros((2, 2))
-    return math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy))
-
-
-def roomiest(mask: Bools, width: int, height: int, angle: float = 0.0) -> tuple[float, float] | None:
-    """(x, y): the centre of a turned rectangle inside a mask that may be moved furthest in any direction."""
-    turned = ndimage.rotate(mask.astype(np.uint8), angle, order=0) > 0 if angle else mask
-    # Centres of rectangles that lie in the mask as a whole; beyond it there is no room.
-    fits = ndimage.minimum_filter(turned, (height, width), mode="constant")
+def roomiest(mask: Bools, width: int, height: int) -> tuple[float, float] | None:
+    """(x, y): the centre of a rectangle in the largest part of a mask that may be moved furthest in any direction."""
+    parts, count = ndimage.label(mask)
+    if not count:
+        return None
+    part = parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])
+    # Centres of rectangles that lie in the part as a whole; beyond it there is no room.
+    fits = ndimage.minimum_filter(part, (height, width), mode="constant")
     if not fits.any():
         return None
     room = ndimage.distance_transform_edt(np.pad(fits, 1))[1:-1, 1:-1]
-    # Of many places as good, as along a band, the one nearest the region's middle.
+    # Of many places as good, as along a band, the one nearest the part's middle.
     rows, columns = np.nonzero(room >= 0.93 * room.max())
-    v, u = rows + 0.5 * (height % 2 - turned.shape[0]), columns + 0.5 * (width % 2 - turned.shape[1])
-    nearest = np.argmin(np.hypot(u, v))
-    c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-    x, y = c * u[nearest] - s * v[nearest], s * u[nearest] + c * v[nearest]
-    return float(x + 0.5 * mask.shape[1]), float(y + 0.5 * mask.shape[0])
+    middle = np.argwhere(part).mean(axis=0)
+    nearest = np.argmin(np.hypot(rows - middle[0], columns - middle[1]))
+    # the filter's window has its centre at this pixel, or half a pixel before it where it is even
+    return float(columns[nearest] + 0.5 * (width % 2)), float(rows[nearest] + 0.5 * (height % 2))
