@@ -75,7 +75,7 @@ class TestCurves:
         random = np.random.default_rng(seed)
         time_of, values = np.sort(random.random(size)), random.normal(size=size)
         thin_time, thin = thinned(time_of, values, 0.0, 1.0, spans)
-        assert thin.size <= 5 * spans + 2
+        assert thin.size <= 4 * spans + 3
         assert (thin_time[0], thin_time[-1]) == (time_of[0], time_of[-1])
         length = max(size // spans, 1)
         for start in range(0, size - length + 1, length):

@@ -21,7 +21,6 @@ from clunk.study.summaries import html_table
 
 _COLUMNS = 800  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve
-_TEXT = 0.13  # of the width of a panel, that the text of an arrow takes on a narrow screen
 _LEFT, _RIGHT = 72, 32  # pixels beside all panels, so that their time axes lie under each other
 _WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 
@@ -217,20 +216,15 @@ class RunFigures:
         return {"curves": {"data": data}, "arrows": self._arrows()}
 
     def _arrows(self) -> Mapping[str, Any]:
-        """Each Q_i at its arrow; of those that would overlap, the largest are written."""
-        run = self._runs[0] if self._runs else None
+        """An arrow for each Q_i."""
+        run, width = self._runs[0] if self._runs else None, self._span[1] - self._span[0]
         impacts = [] if run is None or run.is_restitution else run.impacts
-        impacts = [each for each in impacts if each.rows.stop > each.rows.start]
-        width = self._span[1] - self._span[0]
-        written: list[float] = []
-        arrows = []
-        for each in sorted(impacts, key=lambda impact: -impact.severity) if len(impacts) <= _MOST_ARROWS else []:
-            is_apart = all(abs(each.begin - other) > _TEXT * width for other in written)
-            if is_apart:
-                written.append(each.begin)
-            text = f"Q{each.number} = {each.severity:.0f}" if is_apart else ""
-            arrows.append((each.begin + 0.012 * width, each.smallest, each.largest, text))
-        return columns("x low high text", arrows)
+        arrows = [
+            (each.begin + 0.012 * width, each.smallest, each.largest, f"Q{each.number}")
+            for each in impacts
+            if each.rows.stop > each.rows.start
+        ]
+        return columns("x low high text", arrows if len(arrows) <= _MOST_ARROWS else [])
 
     def _marks(self) -> Changes:
         """Flanks and touches of the run that is shown."""
@@ -260,8 +254,8 @@ def _outcome(history: History) -> str:
 def thinned(time: Floats, values: Floats, begin: float, end: float, spans: int) -> tuple[Floats, Floats]:
     """The part of a curve between two times, with no more points than a screen tells apart.
 
-    Each of as many spans of samples keeps its first point and its extremes, so that no peak is lost and nothing moves
-    by more than a span.
+    Each of about as many spans of samples is drawn as its least and its greatest value, so that no peak is lost and
+    nothing moves by more than a span.
 
     Parameters
     ----------
@@ -273,17 +267,10 @@ def thinned(time: Floats, values: Floats, begin: float, end: float, spans: int) 
 
     Returns
     -------
-    time, values : (m,) float64, m at most 5 spans + 2
+    time, values : (m,) float64, m at most 4 spans + 3
     """
     first = max(0, int(np.searchsorted(time, begin)) - 1)
     last = min(time.size, int(np.searchsorted(time, end, side="right")) + 1)
-    length = (last - first) // spans
-    if length > 3:
-        starts = np.arange(first, last - length + 1, length)
-        blocks = values[first : starts[-1] + length].reshape(-1, length)
-        extremes = starts + blocks.argmin(axis=1), starts + blocks.argmax(axis=1)
-        rest = np.arange(starts[-1] + length, last)
-        kept = np.unique(np.concatenate([starts, *extremes, rest, [last - 1]]))
-    else:
-        kept = np.arange(first, last)
-    return time[kept], values[kept]
+    starts = np.arange(first, last, max(1, (last - first) // spans))
+    extremes = [reduce.reduceat(values[:last], starts) for reduce in (np.minimum, np.maximum)]
+    return np.append(np.repeat(time[starts], 2), time[last - 1]), np.append(np.ravel(extremes, "F"), values[last - 1])
