@@ -257,9 +257,15 @@ class TestCommandLine:
         [
             (["four.h5"], "one value of lash.contact.stiffness and driveline.shafts[1].damping (--at), or draw a map"),
             (["four.h5", *FACETS[:2]], "choose one value of driveline.shafts[1].damping (--at)"),
-            (["four.h5", *FACETS, "--facet", "load.ratio"], "one facet, or two different ones for rows and columns"),
-            (["four.h5", "--facet", "load.ration"], "no axis of several values; these are load.ratio"),
-            (["four.h5", *FACETS[:2], *FACETS[:2]], "one facet, or two different ones for rows and columns"),
+            (
+                ["four.h5", *FACETS, "--facet", "load.ratio"],
+                "A facet is an axis of several values, or two are rows and columns",
+            ),
+            (["four.h5", "--facet", "load.ration"], "or two are rows and columns; these are load.ratio"),
+            (
+                ["four.h5", *FACETS[:2], *FACETS[:2]],
+                "A facet is an axis of several values, or two are rows and columns",
+            ),
             (["four.h5", *FACETS, "--at", "load.ratio=1"], "needs two axes"),
             (["four.h5", "--x", "load.ratio"], "x and y are for axes that are walked together and for samples"),
             (["four.h5", "--at", "load.ration=1"], "load.ration is not swept; swept: load.ratio"),
@@ -332,7 +338,7 @@ class TestFigures:
         titles = [ax.get_title(loc="left") for ax in figure.axes]
         assert "= 0\n" in titles[0]
         assert "= 10\n" in titles[7]
-        assert "(4 of 6 values)" in figure.subfigs[0].get_suptitle()
+        assert "load ratio: 4 of 6 values" in figure.subfigs[0].get_suptitle()
 
     def test_a_point_stands_for_each_run_in_its_labels_colour(self, sampled):
         figure = scatter(sampled, "regimes", "load.ratio", "driveline.inertias[4]")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 
 import numpy as np
 
 from clunk.analysis.boundaries import BoundaryError, with_boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import parameters_of, values_at
-from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
@@ -94,39 +94,33 @@ class Subject:
             swept = swept.model_copy(update={"tolerances": whole.tolerances, "sampling": whole.sampling})
         return to_toml(self._study_at(cell, numbers).model_copy(update={"sweep": swept}))
 
-    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results | None:
-        """The map of every few values of its axes; None where all are few, or the axes are walked together."""
-        if self._has_runs or all(len(axis.values) <= _COARSE for axis in self.plane):
-            return None
+    def maps(self, slices: Numbers, numbers: Numbers, lash: str, progress: Progress) -> Iterator[AnyMap]:
+        """Yield the map with other numbers, better and better: every few values, all of them, and with its lines.
+
+        Axes that are walked together are computed at once; lines are traced where the exact method does so quickly.
+        """
         study = self._study_of_map(slices, numbers)
-        columns = []
-        for k, column in enumerate(design_of(study).columns):
-            last = len(column.values) - 1
-            few = np.unique(np.rint(np.linspace(0, last, min(last + 1, _COARSE))).astype(np.intp))
-            columns.append(Column(column.parameter, k, column.values[few]))
-        shape = tuple(len(column.values) for column in columns)
-        return sweep(study, Design(shape, tuple(columns)), progress=progress)
+        if not self._has_runs and any(len(axis.values) > _COARSE for axis in self.plane):
+            columns = []
+            for k, column in enumerate(design_of(study).columns):
+                last = len(column.values) - 1
+                few = np.unique(np.rint(np.linspace(0, last, min(last + 1, _COARSE))).astype(np.intp))
+                columns.append(Column(column.parameter, k, column.values[few]))
+            yield sweep(
+                study, Design(tuple(len(column.values) for column in columns), tuple(columns)), progress=progress
+            )
+        full = sweep(study, progress=progress)
+        full = full.at(slices) if self._has_runs else full
+        yield full
+        if len(full.of_lash(lash).axes) == 2 and study.solver.method == "exact":
 
-    def full_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results:
-        """The map at all values of its axes."""
-        results = sweep(self._study_of_map(slices, numbers), progress=progress)
-        return results.at(slices) if self._has_runs else results
+            def count(runs: int, total: int) -> None:
+                progress(runs, total)
+                if runs > _MOST_RUNS:
+                    raise BoundaryError("The boundaries of this map take too many runs to follow a slider.")
 
-    def traced_map(self, slices: Numbers, numbers: Numbers, full: Results, lash: str, progress: Progress) -> AnyMap:
-        """The full map with its boundaries, where the exact method traces them quickly; else as it is."""
-        if len(full.of_lash(lash).axes) != 2 or self.study.solver.method != "exact":
-            return full
-
-        def count(runs: int, total: int) -> None:
-            progress(runs, total)
-            if runs > _MOST_RUNS:
-                raise BoundaryError("The boundaries of this map take too many runs to follow a slider.")
-
-        study = self._study_of_map(slices, numbers)
-        try:
-            return with_boundaries(study, full, lash=lash if full.lashes else None, progress=count)
-        except BoundaryError:
-            return full
+            with suppress(BoundaryError):
+                yield with_boundaries(study, full, lash=lash if full.lashes else None, progress=count)
 
     @property
     def _has_runs(self) -> bool:

@@ -373,7 +373,7 @@ class Workbench:
                 request.go_on()
                 if time.monotonic() > said + _OFTEN:
                     said = time.monotonic()
-                    self._say_soon(f"computing the map: {done:,} of {total:,} cells")
+                    self._say_soon(f"computing the map: {done:,} of {total:,}")
 
             if not numbers:
                 show(subject.results.at(slices) if slices else subject.results, "the map with the config's own numbers")
@@ -388,17 +388,10 @@ class Workbench:
             if self._latest is not None and self._latest[0] == (slices, numbers):
                 show(self._latest[1], status)
                 return
-            coarse = subject.coarse_map(slices, numbers, progress)
-            if coarse is not None:
-                show(coarse, "computing the map: every few cells are shown")
-            full = subject.full_map(slices, numbers, progress)
-            request.go_on()
-            show(full, status)
-            traced = subject.traced_map(slices, numbers, full, lash, request.go_on)
-            request.go_on()
-            self._latest = (slices, numbers), traced
-            if traced is not full:
-                show(traced, status)
+            for results in subject.maps(slices, numbers, lash, progress):
+                request.go_on()
+                show(results, status)
+            self._latest = (slices, numbers), results
 
         self._newest_map.submit(work)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -152,7 +151,8 @@ def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Fi
     colours = cell_colours(regimes, shades) / 255.0
     order = np.argsort(~regimes.failed, kind="stable")  # failed ones are behind the others
     across, upward = (values[order] for values in places)
-    ax.scatter(across, upward, c=colours[order], **_look(order.size))
+    size, is_cloud = max(2.0, 40.0 - 0.1 * order.size), order.size > style.MOST_POINTS
+    ax.scatter(across, upward, size, colours[order], edgecolors=style.INK, linewidths=0.2, rasterized=is_cloud)
     for which, axis in zip("xy", axes, strict=False):
         ax.set(**{f"{which}label": axis_label(axis)})
     ax.margins(0.03)
@@ -199,10 +199,3 @@ def _values_of(results: Results, axis: ResultAxis) -> Floats:
     dimension = names.index(axis.parameter if axis.parameter in names else RUN)
     values: Floats = axis.values[np.indices(results.shape)[dimension]].ravel()
     return values
-
-
-def _look(count: int) -> dict[str, Any]:
-    """Look of the points: seen one by one in a small sample, and as a cloud in a large one."""
-    size = float(np.clip(6.5 * (256.0 / count) ** 0.35, 1.6, 6.5))
-    edges = {"edgecolors": style.INK, "linewidths": 0.5 if size > 3.0 else 0.0}
-    return {"s": size**2, "rasterized": count > style.MOST_POINTS, "zorder": 3, **edges}

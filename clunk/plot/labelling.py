@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,9 +22,8 @@ SIZES, SMALL_SIZES = (10.5, 9.5, 8.5, 8.0), (8.5, 7.5, 6.5)  # points, tried in 
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
 _NOWHERE = -2  # no region, so that no name is written there
 _ROOM = 0.22  # of a text's size, around it
-# Where a text goes beside its point, the first that is free: right, left, above, below, then askew, then further away.
+# Where a text goes beside its point, the first that is free: right, left, above, below, and then askew.
 _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
-_FURTHER = (1.0, 2.2)
 
 
 @dataclass
@@ -79,20 +77,22 @@ def write_beside(raster: Raster, points: Floats, texts: Sequence[str], size: flo
     """
     around = raster.pixels(points)
     reach = radius * raster.ax.figure.dpi / 72.0 / _PIXEL
-    for column, row in around.tolist():
-        rows, columns = (slice(max(0, int(at - reach)), max(0, int(at + reach) + 1)) for at in (row, column))
-        raster.taken[rows, columns] = True
+
+    def window(x: float, y: float, width: float, height: float) -> Bools:
+        left, low = round(x - 0.5 * width), round(y - 0.5 * height)
+        return raster.taken[max(0, low) : max(0, low + round(height)), max(0, left) : max(0, left + round(width))]
+
+    for x, y in around.tolist():
+        window(x, y, 2.0 * reach, 2.0 * reach)[:] = True
     without = []
     box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.85, "edgecolor": "none"}
     for k, (text, (column, row)) in enumerate(zip(texts, around.tolist(), strict=True)):
         width, height = raster.measure(text, size)
-        for away, (right, up) in product(_FURTHER, _SIDES):
-            x = column + right * (away * reach + 0.5 * width)
-            y = row + up * (away * reach + 0.5 * height)
-            left, low = round(x - 0.5 * width), round(y - 0.5 * height)
-            window = raster.taken[max(0, low) : low + height, max(0, left) : left + width]
-            if window.shape == (height, width) and not window.any():
-                window[:] = True
+        for right, up in _SIDES:
+            x, y = column + right * (reach + 0.5 * width), row + up * (reach + 0.5 * height)
+            free = window(x, y, width, height)
+            if free.shape == (height, width) and not free.any():
+                free[:] = True
                 raster.write(text, x, y, size, gid="measured", bbox=box, zorder=7)
                 break
         else:

@@ -119,11 +119,10 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
     values, or not two axes are left for the maps.
     """
     changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
-    if len(facets) > len(MOST_VALUES) or len(set(facets)) < len(facets):
-        raise PlotError("Small multiples have one facet, or two different ones for rows and columns.")
-    for facet in facets:
-        if facet not in changing:
-            raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
+    if len(facets) > len(MOST_VALUES) or len(set(facets)) < len(facets) or not changing.keys() >= set(facets):
+        raise PlotError(
+            f"A facet is an axis of several values, or two are rows and columns; these are {', '.join(changing)}."
+        )
     axes = [changing[facet] for facet in facets]
     values = [_evenly_spaced(np.sort(axis.values), MOST_VALUES[len(axes) - 1]) for axis in axes]
     places = list(product(*values))
@@ -134,14 +133,10 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
         for place in places
     ]
     counts = [
-        f"{axis.name} {bare(axis.symbol)}".rstrip()
-        + (f" ({len(shown)} of {len(axis.values)} values)" if len(shown) < len(axis.values) else "")
-        for axis, shown in zip(axes, values, strict=True)
+        f"{axis.name}: {len(shown)} of {len(axis.values)} values" for axis, shown in zip(axes, values, strict=True)
     ]
-    caveats = tuple(results.caveats)
-    line = replace(panels[0], caveats=caveats).subtitle(
-        f"each map at one {' and '.join(counts)}", fixed=fixed_parameters(results)
-    )
+    layers = replace(panels[0], caveats=tuple(results.caveats))
+    line = layers.subtitle(*counts, fixed=fixed_parameters(results))
     return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
 
 
