@@ -5,7 +5,6 @@ pytest -m slow tests/test_cache.py        every kind of damage; each compiles fo
 
 import importlib.util
 import os
-import stat
 import subprocess
 import sys
 import time
@@ -119,25 +118,6 @@ def whole(tmp_path_factory):
     """A cache that is whole, and what a run prints with it."""
     directory = tmp_path_factory.mktemp("cache")
     return directory, simulate("XDG_CACHE_HOME", directory)[0]
-
-
-@pytest.fixture
-def unwritable(tmp_path):
-    """A directory that takes no files; root may write anywhere but among the kernel's own."""
-    if os.name != "posix" or (os.geteuid() == 0 and not Path("/proc/self").exists()):
-        pytest.skip("no directory here takes no files")
-    if os.geteuid() == 0:
-        yield Path("/proc/self")
-        return
-    tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
-    yield tmp_path
-    tmp_path.chmod(stat.S_IRWXU)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
-def test_an_unwritable_cache_is_done_without(unwritable, variable):
-    simulate(variable, unwritable)
 
 
 HIDING = """

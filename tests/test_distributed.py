@@ -171,26 +171,6 @@ class TestTheSameBits:
             assert equal(sweep(map_17, engine=engine, progress=progress), whole)
         assert third.returncode == -signal.SIGKILL
 
-    @posix
-    @pytest.mark.slow
-    def test_of_figure_3_4_when_one_of_two_processes_is_killed_at_three_random_moments(self, alone):
-        """One at a time; another takes its place."""
-        figure = figure_3_4(201)
-        threads = sweep(figure)
-        rng = np.random.default_rng(3)
-        alone.worker()
-        for kill_at in (None, *rng.integers(1, 201 * 201, 3)):
-            other = alone.worker()
-
-            def progress(done, _total, other=other, kill_at=kill_at):
-                if kill_at is not None and done >= kill_at and other.poll() is None:
-                    other.kill()
-
-            with Cluster(alone.address) as engine:
-                assert equal(sweep(figure, engine=engine, progress=progress), threads)
-            other.kill()
-            other.wait()
-
 
 class TestWhatIsRefused:
     def test_no_scheduler(self, tmp_path, swept):

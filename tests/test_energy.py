@@ -5,6 +5,8 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from helpers.general import OneLash
+from helpers.reference import Plant
 from scipy.integrate import solve_ivp
 
 from clunk.core.events import REJOIN, TOUCH
@@ -89,23 +91,17 @@ def test_flanks_that_rejoin_regain_what_their_overlap_stores(ratio, backlash, da
 
 def test_the_terms_are_those_of_an_independent_integration():
     """Work and dissipation integrated beside the motion, phase by phase, by DOP853 from the recorded states."""
-    trajectory = run(CONTACTS["separation by force"], end_time=0.3)
-    inertia, half_gap = np.array([0.024, 0.002, 0.002, 0.002]), np.deg2rad(3.0)
-    k, c = np.array([31.3, 31.3, 31.3, 0.0]), np.array([0.08, 0.04, 0.1, 0.1])
-    twist = np.array([[1, -1, 0, 0], [0, 1, -1, 0], [0, 0, 0, 1], [1, 0, 0, 0]], dtype=float)
-    lash = np.array([0.0, 0.0, 1.0, -1.0])
-    contact_k, contact_c = 2618.88, 0.6016
-    total = np.zeros(6)
+    trajectory, plant = run(CONTACTS["separation by force"], end_time=0.3), Plant(separation="force")
+    motion, total = OneLash(plant), np.zeros(6)
+    regimes = {0: ("open", 0), 1: ("closed", 1), 2: ("closed", -1), 3: ("parted", 1), 4: ("parted", -1)}
     ends = np.append(trajectory.events["time"][1:], trajectory.end)
     for event, state, end in zip(trajectory.events, trajectory.states, ends, strict=True):
-        side = {0: 0, 1: 1, 2: -1, 3: 0, 4: 0}[int(event["regime"])]
+        regime = regimes[int(event["regime"])]
 
-        def rates(_, x, side=side):
-            theta, speed, closed = x[:4], x[4:8], abs(side)
-            torque = -twist.T @ (k * (twist @ theta) + c * (twist @ speed)) + [-1.0, 0.0, 0.0, 0.0]
-            torque -= lash * (contact_k * (closed * lash @ theta - side * half_gap) + closed * contact_c * lash @ speed)
-            power = [-speed[0], *(c * (twist @ speed) ** 2), closed * contact_c * (lash @ speed) ** 2]
-            return np.concatenate([speed, torque / inertia, power])
+        def rates(t, x, regime=regime):
+            taken = [c * (row @ x[4:8]) ** 2 for row, _, c in plant.joints()]
+            pressed = plant.contact_damping * (motion.q @ x[4:8]) ** 2 * (regime[0] == "closed")
+            return np.concatenate([motion.slope(t, x[:8], regime), [plant.after * x[4], *taken, pressed]])
 
         start = np.concatenate([state, np.zeros(6)])
         span = [float(event["time"]), float(end)]

@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from helpers.reference import Plant
 
 from clunk.plot import PlotError, histories
 from clunk.plot.histories import small_gap
@@ -50,21 +51,6 @@ def rows_of_events(history):
     return np.flatnonzero(history.event >= 0)
 
 
-def matrices(closed):
-    """Damping and stiffness of report Eqs 2.5 and 2.12, written out."""
-    k, c, d1 = (31.3, 31.3, 31.3), (0.08, 0.04, 0.1), 0.1
-    k34, c34 = (CONTACT_STIFFNESS, CONTACT_DAMPING) if closed else (0.0, 0.0)
-
-    def chain(a, b, on_three, ground):
-        return np.array(
-            [[a, -a, 0, 0], [-a, a + b, -b, 0], [0, -b, b + on_three, -on_three], [0, 0, -on_three, on_three + ground]]
-        )
-
-    damping = chain(c[0], c[1], c34, c[2])
-    damping[0, 0] += d1
-    return damping, chain(k[0], k[1], k34, k[2])
-
-
 # --- Sampling
 
 
@@ -94,7 +80,7 @@ def test_acceleration_balances_the_torques(model):
     rate = sampled.velocity[:, 2] - sampled.velocity[:, 3]
     side = -run(model).initial_side * sampled.contact.astype(float)
     across = np.where(side == 0.0, 0.0, CONTACT_STIFFNESS * (q - side * HALF_GAP) + CONTACT_DAMPING * rate)
-    damping, stiffness = matrices(closed=False)
+    damping, stiffness = Plant().open_matrices()
     torque = -sampled.velocity @ damping.T - sampled.angle @ stiffness.T
     torque += sampled.torque[:, None] * [1.0, 0.0, 0.0, 0.0] - across[:, None] * [0.0, 0.0, 1.0, -1.0]
     np.testing.assert_allclose(sampled.acceleration * INERTIA, torque, rtol=0.0, atol=1e-10)

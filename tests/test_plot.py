@@ -418,23 +418,6 @@ def test_the_ridge_is_the_largest_severity_of_each_load_ratio(nine: Results) -> 
     np.testing.assert_array_equal(y[drawn], nine.axes[1].values[np.argmax(nine.severity, axis=1)[known]])
 
 
-@pytest.mark.parametrize(
-    ("column", "index"),
-    [
-        ([1.0, 3.0, 2.0], 1.0),
-        ([0.0, 0.0, 0.0], np.nan),  # no impact
-        ([3.0, 2.0, 1.0], np.nan),  # at the border of the map
-        ([1.0, 2.0, 3.0], np.nan),
-        ([1.0, 3.0, np.nan], np.nan),  # a failed cell may be larger
-        ([1.0, np.nan, 2.0, 3.0, 1.0], 3.0),
-        ([1.0, 2.0, 2.0 * (1 + 1e-15), 2.0], np.nan),  # a plateau
-        ([np.nan, np.nan, np.nan], np.nan),
-    ],
-)
-def test_a_ridge_is_only_where_the_largest_value_is_known_to_be_inside(column: list[float], index: float) -> None:
-    np.testing.assert_equal(ridge_of(np.array([column])), [index])
-
-
 def test_the_colours_of_the_severity_map_are_the_severity(nine: Results) -> None:
     figure = plot.draw(with_cells(nine, [np.s_[30:40, 30:40]], -1), "severity")
     shades = shades_of([Layers.of(nine, 2, "severity")]).to_rgba(nine.severity)[..., :3]

@@ -10,10 +10,10 @@ from test_thresholds import DURATION, LASH, NOMINAL, RAMP, RATIO, axis
 
 import clunk as clunk_api
 from clunk.analysis.quantiles import probabilities, threshold_quantiles
-from clunk.analysis.thresholds import UNCERTAIN, Thresholds, thresholds
+from clunk.analysis.thresholds import thresholds
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import quantile_figure
-from clunk.results.quantities import OF_RUNS, quantity_of
+from clunk.results.quantities import quantity_of
 from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
@@ -97,47 +97,6 @@ def test_quantiles_of_single_thresholds_are_those_of_numpy(ramps):
             if share > 0.5:  # of half and half, what is safe goes before
                 ((begin, end),) = result.where(True, load_ratio=ratio, quantile=share)
                 assert (begin, -end) == (0.0, np.quantile(-values, share, method="inverted_cdf"))
-
-
-def test_outcomes_that_come_back_are_counted_at_each_value():
-    """Thresholds made up at random: anywhere between them the outcome is the one that a count of the draws gives."""
-    rng = np.random.default_rng(3)
-    draws, cells, words = 20, 2, ("NI", "SS(1)", "DS(1)")
-    lowest, columns = rng.integers(-1, 3, draws * cells), []
-    for place in range(draws * cells):
-        codes = [int(lowest[place])]
-        for _ in range(rng.integers(0, 6)):
-            codes.append(int(rng.choice([code for code in range(-1, 3) if code != codes[-1]], p=[0.1, 0.1, 0.8])))
-        values = np.sort(rng.uniform(0.0, 1.0, len(codes) - 1))
-        columns += zip([place] * values.size, values, codes[:-1], codes[1:], strict=True)
-    cell, value, below, above = map(np.array, zip(*columns, strict=True))
-    axes = (
-        ResultAxis("draw", np.arange(1.0, draws + 1.0), "", "", "1"),
-        ResultAxis("load.ratio", np.arange(2.0), "", "", "1"),
-    )
-    along = ResultAxis("load.duration", np.array([0.0, 1.0]), "", "", "s")
-    made = Thresholds(
-        study=study(FEW, STIFFNESS),
-        **{"along": along, "axes": axes, "outcome": OF_RUNS["label"], "words": words, "lowest": lowest},
-        **{
-            "cell": cell,
-            "value": value,
-            "off": np.zeros(value.size),
-            "below": below,
-            "above": above,
-            "runs": 0,
-            "failures": {},
-        },
-    )
-    result = threshold_quantiles(made, [0.5, 0.7])
-    for at in rng.uniform(0.0, 1.0, 200):
-        codes = np.array([next(c for b, e, c in made.intervals(p) if b <= at <= e) for p in range(draws * cells)])
-        for place in range(cells * 2):
-            counts = np.bincount(codes[place // 2 :: cells] % 4, minlength=4)
-            likely = counts.argmax()
-            certain = counts[likely] >= draws * (0.5, 0.7)[place % 2]
-            code = next(c for b, e, c in result.intervals(place) if b <= at <= e)
-            assert result.word(code) == ((*words, "failed")[likely] if certain else UNCERTAIN)
 
 
 def test_each_drawn_driveline_is_prepared_once(monkeypatch):

@@ -71,24 +71,9 @@ def test_a_label_counts_every_primary_impact(flanks):
     assert ("CR" in kinds) == (bool(flanks) and flanks[-1] == 1)
 
 
-def test_no_touch_no_primary_impact():
-    assert primaries() == []
-    assert primaries((0.01, SEPARATION, -1)) == []
-
-
 def test_the_preloaded_contact_counts_as_sticking():
     """Left at 0.1 ms and touched again: primary, though the contact lasted less than the sticking time."""
     assert primaries((1e-4, SEPARATION, -1), (0.01, TOUCH, -1)) == [2]
-
-
-def test_a_touch_on_the_other_flank_is_primary():
-    assert primaries((0.01, SEPARATION, -1), (0.02, TOUCH, 1)) == [2]
-
-
-def test_chatter_is_secondary():
-    rebounds = [(0.01, SEPARATION, -1), (0.020, TOUCH, 1), (0.022, SEPARATION, 1), (0.025, TOUCH, 1)]
-    assert primaries(*rebounds) == [2]
-    assert primaries(*rebounds, (0.0265, SEPARATION, 1), (0.027, TOUCH, 1)) == [2]
 
 
 def test_a_crossing_out_of_chatter_is_primary():
@@ -102,19 +87,6 @@ def test_a_touch_after_sticking_is_primary(length, found, flank):
     left = 0.02 + length * STICKING
     happened = [(0.01, SEPARATION, -1), (0.02, TOUCH, flank), (left, SEPARATION, flank), (0.05, TOUCH, flank)]
     assert primaries(*happened) == found
-
-
-def test_sticking_is_forgotten_at_the_next_touch():
-    """From sticking to a primary, then a short rebound: the touch after it is chatter again."""
-    happened = [
-        (0.01, SEPARATION, -1),
-        (0.02, TOUCH, -1),
-        (0.03, SEPARATION, -1),
-        (0.04, TOUCH, -1),
-        (0.042, SEPARATION, -1),
-        (0.045, TOUCH, -1),
-    ]
-    assert primaries(*happened) == [2, 4]
 
 
 def test_an_episode_that_rejoins_before_the_gap_opens_goes_on():
@@ -131,7 +103,3 @@ def test_an_episode_that_rejoins_before_the_gap_opens_goes_on():
     ]
     assert primaries(*happened) == [3, 8]
     assert primaries(*happened, sticking_time=0.0046) == [3]
-
-
-def test_without_an_initial_flank_the_first_touch_is_primary():
-    assert primaries((0.01, TOUCH, 1), (0.012, SEPARATION, 1), (0.02, TOUCH, 1), initial=0) == [1]

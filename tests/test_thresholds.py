@@ -127,19 +127,6 @@ def test_an_outcome_changes_where_dense_runs_say(outcome, ratio):
     assert result.value.size
 
 
-def test_a_structural_key_of_the_restitution_model_has_thresholds():
-    few = axis("lash.contact.restitution", 0.49, 0.51, 2)
-    swept = study(few, of=("lash.contact.model=restitution", "load.ratio=4.0"))
-    result = thresholds(swept, along="lash.contact.restitution", of="touches")
-
-    def touches_at(restitution):
-        return clunk.simulate(clunk.replace_values(swept, {"lash.contact.restitution": restitution})).touches
-
-    assert result.value.size
-    value, below = result.value[0], result.word(result.below[0])
-    assert bisected(touches_at, value - 1e-6, value + 1e-6, below) == pytest.approx(value, abs=1e-9)
-
-
 def test_chatter_is_gone_from_a_contact_damping_on():
     """Below it, and only there, a run has touches that are no primary impacts."""
     swept = study(axis("lash.contact.damping", 200.0, 500.0, 4), of=RAMP[1:])
@@ -225,14 +212,6 @@ def test_where_the_label_changes_too_often_the_place_is_told(monkeypatch):
     assert not every.unresolved
     assert every.value.size > 1
     assert ((begin <= every.value) & (every.value <= end)).all()
-
-
-def test_progress_is_told_as_a_sweep_tells_it(capsys):
-    told, text = [], study(RATIO, of=RAMP[1:])
-    result = thresholds(text, along="load.ratio", progress=lambda done, total: told.append((done, total)))
-    assert told[-1][0] == result.runs
-    assert all(done <= total for done, total in told)
-    assert thresholds(text, along="load.ratio", progress=True).runs == result.runs
 
 
 @pytest.fixture

@@ -21,49 +21,23 @@ from clunk.sweeping import sweep as sweeping
 CONFIGS = Path(__file__).parents[2] / "configs"
 RIG_OF_TWO = """
 [driveline]
-names = ["motor", "flange", "pinion", "ring"]
-inertias = [0.024, 0.002, 0.002, 0.002]
+preset = "boere-2008"
 shafts = [
     { between = ["motor", "flange"], stiffness = 31.3, damping = 0.08 },
     { between = ["ring", "ground"], stiffness = 31.3, damping = 0.1 },
-    { between = ["motor", "ground"], stiffness = 0.0, damping = 0.1 },
+    { between = ["motor", "ground"], damping = 0.1 },
 ]
-
-[[lash]]
-name = "coupling"
-between = ["flange", "pinion"]
-backlash_deg = 3.0
-radius = 0.08
-contact = { stiffness = 4.092e5, damping = 94.0 }
-
-[[lash]]
-name = "gears"
-between = ["pinion", "ring"]
-backlash_deg = 6.0
-radius = 0.08
-contact = { stiffness = 4.092e5, damping = 94.0 }
-
-[load]
-on = "motor"
-static_torque = -1.0
-step_time = 0.1
-
-[solver]
-step = 1e-4
-end_time = 2.0
-
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 3
-
-[[sweep.axes]]
-parameter = "lash[2].backlash_deg"
-start = 0.0
-stop = 20.0
-count = 3
 """
+LASH = """
+[[lash]]
+between = {}
+backlash_deg = {}
+radius = 0.08
+contact = {{ stiffness = 4.092e5, damping = 94.0 }}
+"""
+AXIS = '[[sweep.axes]]\nparameter = "{}"\nstart = 0.0\nstop = {}\ncount = 3\n'
+RIG_OF_TWO += LASH.format('["flange", "pinion"]', 3.0) + LASH.format('["pinion", "ring"]', 6.0)
+RIG_OF_TWO += AXIS.format("load.ratio", 10.0) + AXIS.format("lash[2].backlash_deg", 20.0)
 
 
 def studies(largest: int = 201) -> dict[tuple[str, str, int], Study]:
