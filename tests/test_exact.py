@@ -11,14 +11,11 @@ import pytest
 from helpers import margins, reference
 from helpers.agreement import both_methods_are_the_reference, check, exact, kinds_of, propagated, sticking_time
 from helpers.randomplants import general_plants, plants, rolling_plants
-from helpers.running import empty_log, stepped
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from clunk.core import switching, tile
+from clunk.api import run_points
 from clunk.core.status import QUALITY_GRAZING
-from clunk.simulation import driveline
-from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 
 CONTACTS = {
@@ -112,13 +109,8 @@ def test_the_margin_is_the_smallest_of_all_near_misses(ratio, backlash, contact)
 def quality_of(plant):
     """(label, margin, whether it grazed)."""
     study = study_from_text(reference.config_of(plant, method="exact"))
-    system, tables = driveline.prepare(study)
-    x, log = np.zeros(2 * plant.n), empty_log(512, 2 * plant.n)
-    half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)  # the very number that `simulate` takes
-    _, regime = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
-    start = stepped(x, regime, plant.after, half_gap)
-    _, _, quality, _ = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
-    return simulate(study).label, log.margins[0], bool(quality & QUALITY_GRAZING)
+    run = run_points(study, {"lash.backlash_deg": [study.lash.backlash_deg]}, workers=1)
+    return run.label_map[0], run.margin[0], bool(run.quality[0] & QUALITY_GRAZING)
 
 
 def edge_of(plant_at, low, high):

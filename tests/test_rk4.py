@@ -5,14 +5,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.running import core_run, empty_log, prepared, stepped, unproved
+from helpers.agreement import exact, kinds_of
+from helpers.general import OneLash
 
-from clunk.core import switching, tile
 from clunk.core.rk4.propagator import rk4_growth
-from clunk.core.status import INTERRUPTED, Status
-from clunk.core.tables import OPEN
 from clunk.simulation import driveline
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 
 # An error that goes with h⁴ falls sixteenfold when the step halves. The next order leaves 16 ± 16 hλ, which is 0.6 for
 # the contact mode (λ = 1640 1/s) at h = 2.5e-5 s, and an event's place on the time grid moves the error by less.
@@ -20,72 +20,49 @@ STEPS = (5e-5, 2.5e-5)
 ROUNDING = 5e-12  # rad, rad/s: what 80,000 steps, each rounded by 1e-16 of less than 1 rad, may add up to
 
 
-def errors_against(events, final_state, run):
-    """Largest error of the event times, the states at the events and the final state."""
-    assert run.kinds == [(event.kind, event.side) for event in events]
-    return (
-        np.max(np.abs(run.events["time"] - [event.time for event in events])),
-        np.max(np.abs(run.states - [event.state for event in events])),
-        np.max(np.abs(run.final_state - final_state)),
-    )
+def stepped(plant, step=1e-4, end_time=2.0, state=None):
+    return exact(plant, state, end_time, "rk4", step)
 
 
-def test_rk4_error_falls_sixteenfold_when_the_step_halves():
-    """Between events: the contact mode rings out after a load that never opens the gap (σr = 1), 20 ms after it."""
-    plant = reference.boere(1.0, 6.0)
-    events, final_state = reference.run(plant, end_time=0.02)
-    assert len(events) == 1
-    errors = [
-        np.max(np.abs(core_run(unproved(prepared(plant, step, 0.02)), plant).final_state - final_state))
-        for step in (4e-4, 2e-4)
-    ]
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.25)  # larger steps, for rounding not to show
+def same_kinds(run, events):
+    return kinds_of(run) == [(event.kind, event.side) for event in events]
 
 
 @pytest.mark.parametrize("separation", ["gap", "force"])
 @pytest.mark.parametrize(("ratio", "backlash"), [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (10.0, 16.0)])
 def test_the_error_falls_sixteenfold_across_located_events(ratio, backlash, separation):
+    """The largest one of the event times, and of the states at them."""
     plant = reference.boere(ratio, backlash, separation=separation)
-    events, final_state = reference.run(plant)
-    coarse, fine = (
-        errors_against(events, final_state, core_run(unproved(prepared(plant, step)), plant)) for step in STEPS
-    )
+    events, _ = reference.run(plant)
     assert len(events) > 6
-    for large, small in zip(coarse, fine, strict=True):
+    errors = []
+    for step in STEPS:
+        run = stepped(plant, step)
+        assert same_kinds(run, events)
+        times = np.abs(run.events["time"] - [event.time for event in events])
+        errors.append((times.max(), np.abs(run.states - [event.state for event in events]).max()))
+    for large, small in zip(*errors, strict=True):
         assert large == pytest.approx(16.0 * small, rel=0.1, abs=16.0 * ROUNDING)
 
 
-@pytest.mark.parametrize("steps", [1, 2, 7, 40])
-@pytest.mark.parametrize("closed", [False, True])
-def test_steps_equal_the_four_classical_stages(steps, closed):
-    """Precomputed products, one step or several at once, and the remainder of a step, against Kutta's formula."""
-    step = 1e-4
-    plant = reference.boere(1.0, 6.0)
-    damping, stiffness = plant.open_matrices()
-    inertia, coupling, half = np.array(plant.inertias), np.outer(plant.twist, plant.twist), plant.backlash / 2
-    if closed:
-        side, x = plant.preload()
-        damping = damping + plant.contact_damping * coupling
-        stiffness = stiffness + plant.contact_stiffness * coupling
-        constant = plant.after * plant.load + side * plant.contact_stiffness * half * plant.twist
-    else:
-        x = np.array([-0.01, 0.02, 0.01, 0.015, 0.1, -0.2, 0.3, 0.2])
-        constant = plant.after * plant.load
-
-    def slope(state):
-        return np.concatenate([state[4:], (constant - stiffness @ state[:4] - damping @ state[4:]) / inertia])
-
-    expected = x
-    for length in [*[step] * steps, 0.3 * step]:
-        k1 = slope(expected)
-        k2 = slope(expected + length / 2 * k1)
-        k3 = slope(expected + length / 2 * k2)
-        k4 = slope(expected + length * k3)
-        expected = expected + length / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    run = core_run(unproved(prepared(plant, step, (steps + 0.3) * step)), plant, state=x)
-    assert len(run.events) == 1
+@pytest.mark.parametrize("phase", range(4))
+def test_steps_equal_the_four_classical_stages(phase):
+    """Precomputed products, one step or several at once, and parts of one up to an event, against Kutta's formula."""
+    step, plant = 1e-4, reference.boere(5.0, 6.0)
+    run, motion = stepped(plant, step), OneLash(plant)
+    regime = [("closed", -1), ("open", 0), ("closed", 1), ("open", 0)][phase]
+    begin, end = run.events["time"][phase : phase + 2]
+    grid = step * np.arange(np.floor(begin / step) + 1, np.ceil(end / step))
+    x = run.states[phase]
+    for here, there in pairwise([begin, *grid, end]):
+        length = there - here
+        k1 = motion.slope(0.0, x, regime)
+        k2 = motion.slope(0.0, x + length / 2 * k1, regime)
+        k3 = motion.slope(0.0, x + length / 2 * k2, regime)
+        k4 = motion.slope(0.0, x + length * k3, regime)
+        x = x + length / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     # rounding of h A x, whose terms reach 1e-4 s · 1.3e6 1/s² · 0.6 rad, and of so many steps
-    assert run.final_state == pytest.approx(expected, rel=1e-12, abs=steps * 1e-13)
+    assert run.states[phase + 1] == pytest.approx(x, rel=1e-12, abs=(grid.size + 1) * 1e-13)
 
 
 def test_growth_is_that_of_the_stability_polynomial():
@@ -103,20 +80,12 @@ def test_a_touch_between_two_steps_that_both_end_in_the_gap_is_not_skipped(steps
     Whichever step it is: full steps are taken one by one or in blocks.
     """
     step, pull, half = 1e-4, 1000.0, np.deg2rad(3.0)
-    plant = reference.Plant(
-        inertias=(0.01,),
-        shafts=(),
-        lash=(1, "ground"),
-        contact_stiffness=100.0,
-        contact_damping=0.1,
-        after=-10.0,
-        acceleration_of=1,
-    )
+    plant = reference.Plant((0.01,), (), (1, "ground"), 100.0, 0.1, after=-10.0, acceleration_of=1)
     turn = (steps + 0.5) * step
     for reach in (1e-6, 1e-9, -1e-9, -1e-6):
         start = np.array([half + reach - pull * turn**2 / 2, pull * turn])
-        run = core_run(prepared(plant, step, 0.01), plant, state=start)
-        assert run.kinds[1:2] == ([("touch", 1)] if reach > 0.0 else [])
+        run = stepped(plant, step, 0.01, start)
+        assert kinds_of(run)[1:2] == ([("touch", 1)] if reach > 0.0 else [])
         if reach > 0.0:  # q = 0.05 is known to 1e-17, the time to that over the speed
             speed = np.sqrt(2.0 * reach * pull)
             assert run.events["time"][1] == pytest.approx(turn - speed / pull, abs=1e-15 / speed)
@@ -141,9 +110,8 @@ def test_several_events_in_one_step_are_all_found(step, separation, together):
         acceleration_of=2,
         separation=separation,
     )
-    events, _ = reference.run(plant)
-    run = core_run(prepared(plant, step), plant)
-    assert run.kinds == [(event.kind, event.side) for event in events]
+    run = stepped(plant, step)
+    assert same_kinds(run, reference.run(plant)[0])
     steps = np.floor(run.events["time"] / step)
     assert max(np.count_nonzero(steps == one) for one in steps) >= together
 
@@ -152,12 +120,13 @@ def test_several_events_in_one_step_are_all_found(step, separation, together):
 @pytest.mark.parametrize("separation", ["gap", "force"])
 def test_contacts_of_any_damping_keep_their_events(share, separation):
     """From none to twice the critical damping of the contact mode; above a half, the force falls from the touch on."""
-    nominal = reference.Plant()
-    critical = 2.0 * np.sqrt(nominal.contact_stiffness * 0.001)  # of the two inertias at the lash in series
+    critical = 2.0 * float(
+        np.sqrt(reference.Plant().contact_stiffness * 0.001)
+    )  # of the two inertias at the lash in series
     plant = reference.boere(5.0, 6.0, separation=separation, contact_damping=share * critical)
     events, _ = reference.run(plant, end_time=0.4)
-    run = core_run(prepared(plant, 5e-5, 0.4), plant)
-    assert run.kinds == [(event.kind, event.side) for event in events]
+    run = stepped(plant, 5e-5, 0.4)
+    assert same_kinds(run, events)
     # T_c (ωh)⁴/120 = 1e-9 s late a contact period, and a hundred of those in 0.4 s
     assert run.events["time"] == pytest.approx([event.time for event in events], abs=1e-7)
 
@@ -165,101 +134,66 @@ def test_contacts_of_any_damping_keep_their_events(share, separation):
 @pytest.mark.parametrize("separation", ["gap", "force"])
 def test_no_backlash_passes_from_flank_to_flank(separation):
     """φθ = 0: wherever the gap opens, the other flank is touched at that instant, to rounding of the time."""
-    run = core_run(prepared(plant := reference.boere(7.0, 0.0, separation=separation)), plant)
-    leaving = "separation" if separation == "gap" else "opening"
-    pairs = [(here, there) for here, there in pairwise(range(len(run.events))) if run.kinds[here][0] == leaving]
+    run = stepped(reference.boere(7.0, 0.0, separation=separation))
+    kinds, leaving = kinds_of(run), "separation" if separation == "gap" else "opening"
+    pairs = [(here, there) for here, there in pairwise(range(len(kinds))) if kinds[here][0] == leaving]
     assert len(pairs) == 6
+    assert run.label == "DS(3)"
     for here, there in pairs:
-        assert run.kinds[there] == ("touch", -run.kinds[here][1])
+        assert kinds[there] == ("touch", -kinds[here][1])
         assert run.events["time"][there] - run.events["time"][here] <= 1e-12
 
 
-def test_every_transition_keeps_what_it_says_is_zero():
-    """At each event the functional that ended the regime is zero, and so is the guard named as such."""
-    for separation in ("gap", "force"):
-        plant = reference.boere(8.0, 5.0, separation=separation)
-        run = core_run(prepared(plant), plant)
-        q = run.states[:, : plant.n] @ plant.twist
-        speed = run.states[:, plant.n :] @ plant.twist
-        overlap = run.events["side"] * q - plant.backlash / 2
-        force = plant.contact_stiffness * overlap + plant.contact_damping * run.events["side"] * speed
-        for k, (kind, _) in enumerate(run.kinds):
-            if kind == "load step":
-                continue
-            assert run.events["speed"][k] == speed[k]
-            by_force = kind == "rejoin" or (kind == "separation" and separation == "force")
-            # a time located to its last digit leaves the speed times 1e-16 s, and rounding of q = θ3 - θ4
-            assert abs(force[k] if by_force else overlap[k]) < (1e-12 if by_force else 1e-15)
-        assert np.all(np.diff(run.events["time"]) > 0.0)
-
-
-class TestHowARunEnds:
-    plant = reference.boere(5.0, 6.0)
-
-    def test_more_events_than_the_buffer_holds_is_said(self):
-        run = core_run(prepared(self.plant), self.plant, capacity=10)
-        assert run.status == Status.EVENT_BUFFER_FULL
-        assert len(run.events) == 10
-        assert not run.complete
-        enough = core_run(prepared(self.plant), self.plant, capacity=19)  # 18 events and the load step
-        assert enough.status == Status.OK
-        assert len(enough.events) == 19
-
-    @pytest.mark.parametrize("size", [1e300, 1e308, np.inf, np.nan])
-    @pytest.mark.parametrize("where", range(8))
-    def test_a_state_beyond_all_numbers_is_said_and_ends(self, where, size):
-        x = np.zeros(8)
-        x[where] = size
-        run = core_run(prepared(self.plant), self.plant, state=x, regime=OPEN)
-        assert run.status == Status.NON_FINITE
-        assert not run.complete
-
-    def test_a_step_beyond_the_stability_limit_is_said(self):
-        """The contact mode, ω = 1623 1/s and ζ = 0.196, allows a step of 1.67 ms (RK4's limit at that angle)."""
-        assert prepared(self.plant, 1.5e-3).steps.stable
-        assert not prepared(self.plant, 2e-3).steps.stable
-        for step, status in ((1.5e-3, Status.OK), (2e-3, Status.UNSTABLE_STEP)):
-            system, _ = driveline.prepare(study_from_text(reference.config_of(self.plant, step)))
-            assert system.status == status
-
-    def test_the_end_in_the_middle_of_something_is_not_complete(self):
-        run = core_run(prepared(self.plant, end_time=0.15), self.plant)  # between two primary impacts
-        assert run.status == Status.OK
-        assert not run.complete
-        assert run.end == 0.15
-        assert run.label == "CR(1)"
-
-    def test_a_finished_run_stops_early_and_says_so(self):
-        run = core_run(prepared(self.plant), self.plant)
-        assert run.complete
-        assert run.events["time"][-1] < run.end < 2.0
-
-    def test_a_run_without_a_bound_goes_on_to_the_end(self):
-        run = core_run(unproved(prepared(self.plant)), self.plant)
-        assert run.status == Status.OK
-        assert not run.complete
-        assert run.end == 2.0
-
-    def test_a_set_stop_flag_abandons_the_run(self):
-        (system, steps), x, half_gap = prepared(self.plant), np.zeros(8), self.plant.backlash / 2
-        _, regime = switching.preload(system, np.array([self.plant.before, half_gap, 0.0]), x)
-        start = stepped(x, regime, -1.0, half_gap)
-        status, *_ = tile.run(system, steps, start, empty_log(64, 8), np.ones(1, np.uint8))
-        assert status == INTERRUPTED
-
-
 @pytest.mark.parametrize("separation", ["gap", "force"])
-def test_stopping_early_changes_nothing(separation):
-    """What is proved complete stays so: five times the end time adds no event and no acceleration, on a 9 x 9 map."""
-    short_run = prepared(reference.boere(5.0, 6.0, separation=separation))
-    long = unproved(prepared(reference.boere(5.0, 6.0, separation=separation), end_time=10.0))
-    for ratio in np.linspace(0.0, 10.0, 9):
-        for backlash in np.linspace(0.0, 20.0, 9):
-            plant = reference.boere(ratio, backlash, separation=separation)
-            short, whole = core_run(short_run, plant), core_run(long, plant)
-            assert short.complete
-            assert np.array_equal(short.states, whole.states)
-            for field in ("time", "speed", "kind", "side"):
-                assert np.array_equal(short.events[field], whole.events[field])
-            assert np.array_equal(short.impact_severity, whole.impact_severity)
-            assert short.label == whole.label
+def test_every_transition_keeps_what_it_says_is_zero(separation):
+    """At each event the functional that ended the regime is zero, and so is the guard named as such."""
+    plant = reference.boere(8.0, 5.0, separation=separation)
+    run, side = stepped(plant), slice(1, None)
+    q, speed = run.states[side, :4] @ plant.twist, run.states[side, 4:] @ plant.twist
+    overlap = run.events["side"][side] * q - plant.backlash / 2
+    force = plant.contact_stiffness * overlap + plant.contact_damping * run.events["side"][side] * speed
+    assert run.events["speed"][side] == pytest.approx(speed, abs=1e-15)
+    for (kind, _), gap, torque in zip(kinds_of(run)[side], overlap, force, strict=True):
+        by_force = kind == "rejoin" or (kind == "separation" and separation == "force")
+        # a time located to its last digit leaves the speed times 1e-16 s, and rounding of q = θ3 - θ4
+        assert abs(torque if by_force else gap) < (1e-12 if by_force else 1e-15)
+    assert np.all(np.diff(run.events["time"]) > 0.0)
+
+
+def test_a_state_beyond_all_numbers_and_a_step_beyond_the_stability_limit_are_said():
+    """The contact mode, ω = 1623 1/s and ζ = 0.196, allows a step of 1.67 ms (RK4's limit at that angle)."""
+    plant = reference.boere(5.0, 6.0)
+    with pytest.raises(ClunkError, match="infinite or undefined"):
+        stepped(plant, state=np.full(8, 1e300) * np.arange(1, 9))
+    assert stepped(plant, 1.5e-3).touches > 0
+    with pytest.raises(ClunkError, match="unstable"):
+        stepped(plant, 2e-3)
+
+
+def test_a_run_ends_where_it_is_complete_or_cut_off():
+    plant = reference.boere(5.0, 6.0)
+    cut, whole = stepped(plant, end_time=0.15), stepped(plant)  # between two primary impacts
+    assert (cut.complete, cut.end, cut.label) == (False, 0.15, "CR(1)")
+    assert whole.complete
+    assert whole.events["time"][-1] < whole.end < 2.0
+
+
+@pytest.mark.parametrize("contact", [{"separation": "gap"}, {"separation": "force"}, {"restitution": 0.5}], ids=str)
+def test_stopping_early_changes_nothing(contact, monkeypatch):
+    """What is proved complete stays so: five times the end time adds no event and no acceleration."""
+    plants = [reference.boere(ratio, gap, **contact) for ratio in (0.0, 2.5, 5.0, 10.0) for gap in (0.0, 6.0, 16.0)]
+    early = [stepped(plant) for plant in plants]
+    prepare = driveline.prepare
+
+    def unproved(study):
+        system, tables = prepare(study)
+        return system, tables._replace(provable=np.zeros_like(tables.provable))
+
+    monkeypatch.setattr(driveline, "prepare", unproved)
+    for plant, short in zip(plants, early, strict=True):
+        whole = simulate(study_from_text(reference.config_of(plant, end_time=10.0)))
+        assert short.complete
+        assert not whole.complete
+        assert np.array_equal(short.states, whole.states)
+        assert np.array_equal(short.impact_severity, whole.impact_severity, equal_nan=True)
+        assert short.label == whole.label
