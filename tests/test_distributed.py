@@ -208,7 +208,7 @@ class TestWhatIsRefused:
         with Cluster(two_workers.address) as engine:
             with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba: 0\.[0-9.]* there, 0\.1 here"):
                 sweep(map_17, engine=engine)
-            monkeypatch.setattr(engine, "_check_workers", lambda _method: None)
+            monkeypatch.setattr(engine, "_check_workers", lambda: None)
             with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba"):
                 sweep(map_17, engine=engine)
 

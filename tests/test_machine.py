@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from clunk.results import machine
+from clunk.sweeping import machine
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ import clunk
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
 from clunk.sweeping import parts as keeping
+from clunk.sweeping.machine import versions
 from clunk.sweeping.parts import PartsError, WorkingDirectory
-from clunk.sweeping.provenance import versions
 from clunk.sweeping.sweep import Job, sweep
 
 PACKAGE = Path(keeping.__file__).parents[1]

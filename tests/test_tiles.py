@@ -9,8 +9,8 @@ from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
 from clunk.sweeping import cells
-from clunk.sweeping.assembly import RegimeReduction
 from clunk.sweeping.cells import Grid
+from clunk.sweeping.reduction import RegimeReduction
 from clunk.sweeping.sweep import sweep
 from clunk.sweeping.tiles import from_bytes, to_bytes
 

@@ -63,9 +63,8 @@ class Grid:
     def __init__(self, study: Study, design: Design | None = None, shared: kernel.Batch | None = None) -> None:
         self.study = study
         self.design = design or design_of(study)
-        self.method: str = study.solver.method
         self.layout = layout_of(study)
-        self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
+        self.tile_cells = min(_TILE_CELLS[study.solver.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         parameters = (each.parameter for each in self.design.columns)
         self.structural = tuple(key for key in parameters if not leaves_system(study, key))
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points

@@ -25,14 +25,12 @@ import distributed
 import numpy as np
 from distributed import Client, KilledWorker, LocalCluster
 
-from clunk.core.jit import is_cold
 from clunk.results.files import reason
-from clunk.results.machine import available_cores
 from clunk.study.arrays import Cells
 from clunk.sweeping import engines
 from clunk.sweeping.cells import Flag
 from clunk.sweeping.engines import EngineError, Runner
-from clunk.sweeping.provenance import versions
+from clunk.sweeping.machine import available_cores, cpu_model, versions
 from clunk.sweeping.tiles import Tile
 
 LOCAL = "local"
@@ -102,13 +100,13 @@ class Cluster(Executor):
         A system that all cells share is prepared in this process. Those of structural axes are prepared on the workers,
         by LAPACK, which on a processor of another type may round differently.
         """
-        return "; ".join(sorted(set(self._ask(engines.cpu_model).values()))) or engines.cpu_model()
+        return "; ".join(sorted(set(self._ask(cpu_model).values()))) or cpu_model()
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
         """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
         runner, cells, stop = arguments
         if self._sent is None or self._sent[0] is not runner:
-            self._check_workers(runner.method)
+            self._check_workers()
             pickled = io.BytesIO()
             _Pickler(pickled).dump(runner)
             # a task and not scattered data: a worker that dies takes no copy with it that could not be made again
@@ -129,27 +127,22 @@ class Cluster(Executor):
             return self._lost()
         return EngineError(f"A worker could not run its cells: {reason(error)}.")
 
-    def _ask(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+    def _ask(self, function: Callable[[], Any]) -> dict[str, Any]:
         """Answer of each worker, or the error that it ended with; by address."""
         try:
-            answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
+            answers: dict[str, Any] = self._client.run(function, on_error="return")
         except Exception as error:
             raise self._lost() from error
         return {address: each for address, each in answers.items() if not isinstance(each, OSError)}  # it has gone
 
-    def _check_workers(self, method: str) -> None:
-        """Raise EngineError where a worker has other versions; say how many will compile the kernel."""
+    def _check_workers(self) -> None:
+        """Raise EngineError where a worker has other versions."""
         for address, answer in self._ask(versions).items():
             if not isinstance(answer, dict):
                 raise EngineError(
                     f"Worker {address} cannot run clunk ({reason(answer)}): it needs the same installation as here."
                 )
             _refuse_other_versions(address, answer, versions())
-        cold = [*self._ask(is_cold, method).values()]
-        if any(cold):
-            self._say(f"{sum(cold)} of {len(cold)} workers compile {method}, once for an installation …")
-        if ";" in (processors := self.processors()):
-            self._say(f"note: processors of several types, last bits may depend on them: {processors}")
 
     def _lost(self) -> EngineError:
         return EngineError(f"The scheduler at {self._address} was lost.")

@@ -10,23 +10,20 @@ the user.
 
 from __future__ import annotations
 
-import functools
-import platform
 import signal
 import threading
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from clunk.core.regimes import System
-from clunk.results.machine import available_cores
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import Flag
+from clunk.sweeping.machine import available_cores
 from clunk.sweeping.tiles import Layout, Tile
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
@@ -43,12 +40,10 @@ class Runner(Protocol):
     """Runs cells to tiles, in any thread or process: it can be pickled.
 
     layout : of the tiles
-    method : of the runs, ``rk4`` or ``exact``
     tile_cells : the most cells of a tile
     """
 
     layout: Layout
-    method: str
     tile_cells: int
 
     def ordered(self, cells: Cells) -> Cells:
@@ -147,13 +142,3 @@ class Threads(ThreadPoolExecutor):
         """Submit a task as `ThreadPoolExecutor` does; a signal waits until the task is in the queue."""
         with deferred_signals():
             return super().submit(*arguments, **options)
-
-
-@functools.cache
-def cpu_model() -> str:
-    """Model of this machine's processor."""
-    try:
-        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
-            return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()

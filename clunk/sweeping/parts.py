@@ -25,7 +25,7 @@ from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.problems import ConfigError, shorten
 from clunk.study.study import Study, decisive_content, digest, to_toml
-from clunk.sweeping.provenance import versions
+from clunk.sweeping.machine import versions
 from clunk.sweeping.tiles import Tile, from_bytes, to_bytes
 
 _FIRST_PART = 2.0  # s: a shorter sweep is as soon run again

@@ -12,7 +12,6 @@ from operator import itemgetter
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.machine import available_cores
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Floats
 from clunk.study.designs import Column, Design, design_of_points
@@ -21,12 +20,11 @@ from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
-from clunk.sweeping.assembly import RegimeReduction
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import Threads, run_tiles
+from clunk.sweeping.machine import available_cores, provenance
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.provenance import provenance
-from clunk.sweeping.reduction import heading_of
+from clunk.sweeping.reduction import RegimeReduction, heading_of
 from clunk.sweeping.tiles import Tile
 
 _ALONE = 100  # runs: fewer are not worth a second thread

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from clunk.core.status import Status
-from clunk.results.machine import available_cores, available_memory
 from clunk.results.netcdf import StoreError
 from clunk.results.regimemap import Results
 from clunk.results.store import read_map, read_results, write_results
@@ -24,13 +23,12 @@ from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest
-from clunk.sweeping.assembly import RegimeReduction, failed_cells, finished_cells, mended
 from clunk.sweeping.cells import warm_up
 from clunk.sweeping.engines import EngineError, Threads, run_tiles
+from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.provenance import provenance
-from clunk.sweeping.reduction import Reduction
+from clunk.sweeping.reduction import Reduction, RegimeReduction, failed_cells, finished_cells, mended
 from clunk.sweeping.tolerances import ToleranceReduction
 
 __all__ = ["Job", "cell_count", "engine_of", "opened", "sweep", "warm_up"]

@@ -63,7 +63,6 @@ class SampleRunner:
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.sweep.sampling.count
         self.drawn = drawn_numbers(study, self._tolerances)
-        self.method = self._grid.method
         self.tile_cells = max(1, _TILE_RUNS // self.draws)
 
     def ordered(self, cells: Cells) -> Cells:

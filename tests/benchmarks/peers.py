@@ -39,7 +39,7 @@ from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.simulation.driveline import Driveline
 from clunk.study.study import replace_values
 from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.engines import cpu_model
+from clunk.sweeping.machine import cpu_model
 
 CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
 FINE = 401  # cells a side of the large sweep

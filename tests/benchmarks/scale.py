@@ -26,8 +26,8 @@ from clunk.study.config import study_from_text
 from clunk.study.study import Study, to_toml
 from clunk.sweeping import cells, engines
 from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.assembly import RegimeReduction
 from clunk.sweeping.parts import Parts, WorkingDirectory
+from clunk.sweeping.reduction import RegimeReduction
 from clunk.sweeping.tiles import Tile
 
 CONFIG = """

@@ -31,7 +31,7 @@ from clunk.study.designs import design_of_points
 from clunk.study.parameters import nominal_value
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import cpu_model
+from clunk.sweeping.machine import cpu_model
 
 try:
     import heyoka as hy
