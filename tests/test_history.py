@@ -8,7 +8,7 @@ from helpers.reference import Plant
 
 from clunk.plot import PlotError, histories
 from clunk.plot.histories import small_gap
-from clunk.results.historyfile import save_csv
+from clunk.results.export import save_history
 from clunk.simulation.history import sample
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
@@ -177,7 +177,7 @@ def test_run_that_may_go_on_is_not_sampled_beyond_its_end():
 def test_csv_reads_back_equal(tmp_path, model):
     sampled, trajectory = history(model), run(model)
     path = tmp_path / "new" / "history.csv"
-    save_csv(path, sampled)
+    save_history(path, sampled)
     table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
     np.testing.assert_array_equal(table["time_s"], sampled.time)
     np.testing.assert_array_equal(table["after_step_s"], sampled.after_step)
@@ -200,10 +200,10 @@ def test_csv_reads_back_equal(tmp_path, model):
 def test_unwritable_path_is_an_error_in_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ClunkError, match="cannot be written: "):
-        save_csv(tmp_path / "file" / "history.csv", history())
+        save_history(tmp_path / "file" / "history.csv", history())
     (tmp_path / "directory").mkdir()
     with pytest.raises(ClunkError, match="cannot be written: "):
-        save_csv(tmp_path / "directory", history())
+        save_history(tmp_path / "directory", history())
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["directory", "file"]
 
 

@@ -12,7 +12,7 @@ from test_store import padded
 
 import clunk
 from clunk.results import export
-from clunk.results.historyfile import save_csv
+from clunk.results.export import save_history
 from clunk.results.quantities import CELL_QUANTITIES, REGIME_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.history import sample
@@ -243,7 +243,7 @@ def test_a_history_has_the_backlash_of_each_lash(tmp_path):
         touched = np.abs(view.backlash_coordinate[view.touches.row])
         np.testing.assert_allclose(touched, view.half_gap, rtol=1e-9)
         assert view.touches.row.size == run.lashes[k].touches
-    save_csv(tmp_path / "run.csv", history)
+    save_history(tmp_path / "run.csv", history)
     head, first = (tmp_path / "run.csv").read_text().splitlines()[:2]
     assert head.endswith("backlash_coordinate_1_m,backlash_coordinate_2_m,contact_1,contact_2,event,lash,flank")
     assert len(first.split(",")) == len(head.split(","))

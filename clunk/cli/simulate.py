@@ -142,12 +142,12 @@ def _save_runs(
     runs: list[tuple[str, Trajectory]], output: Path, step: float | None, figure: str, *, each_lash: bool
 ) -> None:
     """Save or draw runs; each_lash : whether pictures show every lash, or that of the trajectories alone."""
-    from clunk.results import historyfile
+    from clunk.results.export import save_history
     from clunk.simulation import history as histories
 
     if output.suffix.lower() == ".csv":
         ((_, trajectory),) = runs
-        historyfile.save_csv(output, histories.sample(trajectory, step))
+        save_history(output, histories.sample(trajectory, step))
         terminal.say_written(output)
         return
     from clunk.plot import histories as figures

@@ -84,9 +84,7 @@ def outcomes(results: AnyMap) -> dict[str, Any]:
 
 
 def print_boundaries(boundaries: Boundaries) -> None:
-    """Print how many boundaries there are, and the labels that meet at each junction."""
-    ((name, numbers),) = boundaries.summary()
-    click.echo(f"{name} {numbers}")
+    """Print the labels that meet at each junction, and what is unresolved."""
     if rows := boundaries.meeting_rows():
         print_table(rows)
     if boundaries.unresolved_sentence:

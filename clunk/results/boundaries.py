@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
@@ -210,16 +208,6 @@ class Boundaries:
             features.append(_feature("Point", place, unresolved=True))
         names = [axis.parameter for axis in self.axes]
         return {"type": "FeatureCollection", "axes": names, "features": features}
-
-    def csv(self) -> str:
-        """Comma-separated vertices of the curves: the curve's number, labels and event, and the axes' values."""
-        text = io.StringIO()
-        write = csv.writer(text, lineterminator="\n").writerow
-        write(["curve", "left", "right", "event", *(axis.parameter for axis in self.axes)])
-        for number, curve in enumerate(self.curves, 1):
-            for vertex in curve.vertices.tolist():
-                write([number, curve.left, curve.right, curve.event, *vertex])
-        return text.getvalue()
 
 
 def _parts(values: Array, counts: npt.NDArray[np.int32]) -> list[Array]:

@@ -1,7 +1,4 @@
-"""Maps for other programs: a row for each cell as comma-separated values, or arrays in a MAT-file for MATLAB.
-
-Their boundaries, a row for each vertex, or as GeoJSON.
-"""
+"""Maps and histories for other programs: comma-separated values, arrays in a MAT-file for MATLAB, or GeoJSON."""
 
 from __future__ import annotations
 
@@ -10,18 +7,19 @@ import io
 import json
 import math
 import os
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from clunk.results.boundaries import Boundaries
-from clunk.results.files import write_text, write_whole, writing
+from clunk.core.events import TOUCH
+from clunk.results.files import write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.quantities import Quantity
 from clunk.results.store import dataset_of
 from clunk.results.tolerancemap import AnyMap
+from clunk.simulation.history import History
+from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Array
 from clunk.study.axes import RUN
 from clunk.study.errors import ClunkError
@@ -53,12 +51,21 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
             suffixes = [f"[{entry}]" for entry in dataset.variables[quantity.dimension].values.tolist()]
         for suffix, column in zip(suffixes, values.reshape(cells, -1).T, strict=True):
             columns.append((_with_unit(name + suffix, quantity.unit), quantity, column))
+    parts = (slice(start, start + _ROWS) for start in range(0, cells, _ROWS))
+    rows = (
+        row
+        for part in parts
+        for row in zip(*(_texts(of, column[part], results.labels) for _, of, column in columns), strict=True)
+    )
+    _write_rows(stream, [heading for heading, _, _ in columns], rows)
+
+
+def _write_rows(stream: BinaryIO, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write comma-separated values; numbers to full precision, and nothing for None."""
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     write = csv.writer(text, lineterminator="\n")
-    write.writerow(heading for heading, _, _ in columns)
-    for start in range(0, cells, _ROWS):
-        part = slice(start, start + _ROWS)
-        write.writerows(zip(*(_texts(of, column[part], results.labels) for _, of, column in columns), strict=True))
+    write.writerow(headings)
+    write.writerows(rows)
     text.detach()  # flushed, and the stream stays open
 
 
@@ -79,18 +86,46 @@ def _write_mat(stream: BinaryIO, results: AnyMap) -> None:
         raise ClunkError("The map is too large for a MAT-file; MATLAB reads the HDF5 file itself.") from error
 
 
-WRITERS = {".csv": _write_csv, ".mat": _write_mat}
+def _write_geojson(stream: BinaryIO, results: AnyMap) -> None:
+    """Write the boundaries of a map."""
+    if results.boundaries is None:
+        raise ClunkError("The map has no boundaries; clunk sweep CONFIG --boundaries adds them to its file.")
+    stream.write((json.dumps(results.boundaries.geojson(), ensure_ascii=False) + "\n").encode())
 
 
-def save_boundaries(path: str | os.PathLike[str], boundaries: Boundaries) -> None:
-    """Write boundaries in the format of the file name's suffix, one of `OF_BOUNDARIES`. Raises ClunkError."""
-    write_text(path, OF_BOUNDARIES[Path(path).suffix.lower()](boundaries))
+WRITERS = {".csv": _write_csv, ".mat": _write_mat, ".geojson": _write_geojson}
 
 
-OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {
-    ".csv": Boundaries.csv,
-    ".geojson": lambda boundaries: json.dumps(boundaries.geojson(), ensure_ascii=False) + "\n",
-}
+def save_history(path: str | os.PathLike[str], history: History) -> None:
+    """Write a history as comma-separated values, with the units in the names of the columns. Raises ClunkError.
+
+    The last columns are text, empty but in the row that follows an event: what it is, of several lashes which, and its
+    flank.
+    """
+    trajectory = history.trajectory
+    several = len(trajectory.lashes) > 1
+    suffixes = [f"_{lash}" for lash in range(1, len(trajectory.lashes) + 1)] if several else [""]
+    names = ["time_s", "after_step_s"]
+    for quantity, unit in (("theta", "rad"), ("theta_dot", "rad_per_s"), ("theta_ddot", "rad_per_s2")):
+        names += [f"{quantity}_{inertia}_{unit}" for inertia in range(1, history.angle.shape[1] + 1)]
+    names += ["torque_Nm", *(f"backlash_coordinate{suffix}_m" for suffix in suffixes)]
+    names += [*(f"contact{suffix}" for suffix in suffixes), "event", *(["lash"] if several else []), "flank"]
+    numbers = (history.time, history.after_step, history.angle, history.velocity, history.acceleration)
+    columns = np.column_stack((*numbers, history.torque, history.backlash_coordinates)).tolist()
+    events = [_event(trajectory, k) if k >= 0 else [""] * (2 + several) for k in history.event.tolist()]
+    rows = ([*row, *each, *event] for row, each, event in zip(columns, history.contacts.tolist(), events, strict=True))
+    with writing(path) as target:
+        write_whole(target, lambda stream: _write_rows(stream, names, rows))
+
+
+def _event(trajectory: Trajectory, k: int) -> list[str]:
+    """Name of event `k`, of a touch with its rank, its lash if there are several, and its flank."""
+    name = trajectory.kind_name(k)
+    if trajectory.events["kind"][k] == TOUCH:
+        is_primary = any(k in each.primaries for each in trajectory.lashes)
+        name = f"{'primary' if is_primary else 'secondary'} {name}"
+    lash = [trajectory.lash_name(k)] if len(trajectory.lashes) > 1 else []
+    return [name, *lash, trajectory.flank_name(k)]
 
 
 def _texts(quantity: Quantity | None, values: Array, labels: tuple[str, ...]) -> list[Any]:
