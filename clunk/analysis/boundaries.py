@@ -14,16 +14,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.boundaryevents import events_between, split_by_event
+from clunk.analysis.boundaryevents import events_between
+from clunk.analysis.lines import Lines, Triangles
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
-from clunk.analysis.pointruns import RUN, PointRuns, Runs
+from clunk.analysis.pointruns import PointRuns
+from clunk.analysis.search import POINT
 from clunk.analysis.thresholds import thresholds
-from clunk.analysis.tracing import Lines
-from clunk.analysis.triangles import Triangles
 from clunk.results.boundaries import NO_LABEL, Boundaries
+from clunk.results.quantities import LABEL, OF_RUNS
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap
-from clunk.study.arrays import Codes, Floats
+from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, has_tolerances
 from clunk.study.errors import ClunkError
@@ -31,6 +32,7 @@ from clunk.study.lashes import lash_position
 from clunk.study.parameters import located
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress
+from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
 RUNS_OF_BOUNDARIES = "runs along the boundaries"  # of which progress tells
@@ -163,29 +165,31 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None, pr
         return np.column_stack([scale.values(places[:, k]) for k, scale in enumerate(scales)])
 
     with engine_of(None, workers) as engine:
-        point_runs = PointRuns(study, [axis.parameter for axis in results.axes], results.labels, engine, lash)
-
-        def run(places: Floats) -> Runs:
-            return point_runs(values_at(places))
-
+        point_runs = PointRuns(
+            study,
+            [axis.parameter for axis in results.axes],
+            OF_RUNS[LABEL],
+            lash,
+            engine,
+            words=results.labels,
+            progress=progress,
+        )
         across, upward = (
             scale.shares(axis.values[scale.order]) for scale, axis in zip(scales, results.axes, strict=True)
         )
-        nodes = np.zeros(results.sequence.shape, RUN)
+        nodes = np.zeros(results.sequence.shape, POINT)
         nodes["outcome"], nodes["measure"] = results.sequence[ascending], results.margin[ascending]
         nodes["touches"] = results.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        lines = Lines(triangles, run, progress, point_runs.cost)
-        paths = paths_of(*lines.trace(), lines.position)
+        lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost)
+        lines.trace()
+        paths = paths_of(*lines.segments(), lines.position)
         regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
-
-        def crossings(nodes: Codes) -> tuple[Floats, Floats]:
-            ends = lines.bracket(nodes)
-            return values_at(ends[:, 0]), values_at(ends[:, 1])
-
         paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
-        pieces = [*split_by_event(point_runs, paths, crossings)]
-        labels, number = point_runs.numbered(len(results.labels))
+        crossings = [[node for node in path.nodes if node >= 0] for path in paths]
+        below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
+        events = events_between(point_runs.runner, lash, values_at(below), values_at(above))
+        words, number = point_runs.numbered(len(results.labels))
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings = [ring for region in regions for ring in region]
 
@@ -195,12 +199,12 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None, pr
 
     return Boundaries(
         axes=results.axes,
-        labels=labels,
-        vertices=values_at(np.concatenate([np.zeros((0, 2)), *(vertices for _, vertices, _ in pieces)])),
-        curve_counts=np.array([len(vertices) for _, vertices, _ in pieces], np.int32),
-        curve_left=codes_of(path.left for path, _, _ in pieces),
-        curve_right=codes_of(path.right for path, _, _ in pieces),
-        curve_event=np.array([event for _, _, event in pieces], np.int8),
+        labels=tuple(map(str, words)),
+        vertices=values_at(np.concatenate([np.zeros((0, 2)), *(path.vertices for path in paths)])),
+        curve_counts=np.array([len(path.vertices) for path in paths], np.int32),
+        curve_left=codes_of(path.left for path in paths),
+        curve_right=codes_of(path.right for path in paths),
+        curve_event=events.astype(np.int8),
         junctions=values_at(junctions),
         junction_labels=_filled([sorted(codes_of(codes).tolist()) for codes in junction_labels]),
         ring_vertices=values_at(np.concatenate([ring.vertices for ring in rings])),
@@ -235,12 +239,10 @@ def _of_axis(study: Study, results: Results, lash: int, workers: int | None, pro
     scale = _Scale(axis)
     codes = number[np.concatenate([scan.lowest, scan.above])]
     edges = np.concatenate([[scale.lowest], scan.value, [scale.highest]])
-    with engine_of(None, workers) as engine:
-        point_runs = PointRuns(study, [axis.parameter], results.labels, engine, lash)
-        aside = 1e-9 * (scale.highest - scale.lowest)
-        below, above = np.maximum(scan.value - aside, scale.lowest)[:, None], scan.value[:, None] + aside
-        events = events_between(point_runs, below, above)
-    count = scan.value.size
+    count, aside = scan.value.size, 1e-9 * (scale.highest - scale.lowest)
+    runner = Runner(study, [axis.parameter])
+    below, above = np.maximum(scan.value - aside, scale.lowest)[:, None], scan.value[:, None] + aside
+    events = events_between(runner, lash, below, above)
     return Boundaries(
         axes=results.axes,
         labels=labels,

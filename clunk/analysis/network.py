@@ -5,24 +5,23 @@ Positions are on each axis from 0 to 1. A junction is a triple point, or where a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from clunk.study.arrays import Codes, Floats
 
-SAME = 1e-8  # of the map: triple points so near to each other are one junction
+SAME = 1e-6  # of the map: triple points so near to each other are one junction
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 class Path(NamedTuple):
-    """A curve, with the lesser code on its left: nodes of its segments' ends, and the number of each one's vertex."""
+    """A curve, with the lesser code on its left: its nodes, and a vertex for each."""
 
     left: int
     right: int
     nodes: list[int]
-    at: list[int]
     vertices: Floats
 
 
@@ -34,12 +33,11 @@ class Ring(NamedTuple):
     area: float
 
 
-def paths_of(ends: Codes, labels: Codes, inner: Sequence[Floats], position: Callable[[Codes], Floats]) -> list[Path]:
+def paths_of(ends: Codes, labels: Codes, position: Callable[[Codes], Floats]) -> list[Path]:
     """Link segments, pieces of lines that lie in a triangle each, to curves.
 
     ends : (n, 2) nodes at which they begin and end: keys of edges, or of triple points -1 - their number
     labels : (n, 2) codes on the left and on the right
-    inner : of each segment the points in between, (k, 2)
     position : of nodes
     """
     turned = labels[:, 0] > labels[:, 1]
@@ -48,23 +46,17 @@ def paths_of(ends: Codes, labels: Codes, inner: Sequence[Floats], position: Call
     after = {node: k for k, node in enumerate(begin) if node >= 0}
     reached = {node for node in end if node >= 0}
     order = sorted(range(len(begin)), key=lambda k: begin[k] >= 0 and begin[k] in reached)  # closed curves last
-    nodes = np.array(sorted({*begin, *end}), np.int64)
-    place = dict(zip(nodes.tolist(), position(nodes), strict=True))
     seen = [False] * len(begin)
     paths = []
-    for k in order:
-        if seen[k]:
+    for first in order:
+        if seen[first]:
             continue
-        names, at, points = [begin[k]], [0], [place[begin[k]]]
-        first, following = k, k
+        nodes, following = [begin[first]], first
         while not seen[following]:
             seen[following] = True
-            points += [*inner[following]][:: -1 if turned[following] else 1]
-            points.append(place[end[following]])
-            names.append(end[following])
-            at.append(len(points) - 1)
+            nodes.append(end[following])
             following = after.get(end[following], following)
-        paths.append(Path(left[first], right[first], names, at, np.array(points)))
+        paths.append(Path(left[first], right[first], nodes, position(np.array(nodes))))
     return paths
 
 

@@ -1,113 +1,101 @@
-"""Runs of a study at points of some parameters, batch after batch, with a code for each label."""
+"""Runs of a study at points of some parameters, batch after batch, with a code for each outcome."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 
 import numpy as np
-import numpy.typing as npt
 
-from clunk.core.sequence import label
+from clunk.analysis.search import POINT, Points
 from clunk.core.status import Status
-from clunk.core.tile import EVENTS
 from clunk.results.labels import FAILED_CODE, excursions
-from clunk.results.quantities import measuring
-from clunk.study.arrays import Codes, Floats, Records
+from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
+from clunk.results.regimemap import Results
+from clunk.study.arrays import Codes, Floats
 from clunk.study.rules import count_of_regimes
 from clunk.study.study import Study
-from clunk.sweeping.reduction import flanks_of, long_sequences
+from clunk.sweeping.progress import Progress
 from clunk.sweeping.runner import Runner
-from clunk.sweeping.tiles import Tile
 
-RUN_FIELDS = ("outcome", "measure", "touches")
-RUN = np.dtype([*zip(RUN_FIELDS, ("i8", "f8", "i8"), strict=True)])
-Runs = npt.NDArray[np.void]  # RUN: the label's code, the margin and the number of touches
+Word = str | bool | int  # an outcome: a label, whether something holds, or a count
 
-Events = npt.NDArray[np.void]  # EVENT
-
-_EVENT_MEMORY = 500_000  # events that there is room for at a time, in each thread: 28 MB
 _STEPS = 20_000  # of rk4 in a run that counts as one: 2 s at the default step
-_FEW = 50  # pairs: fewer are not worth a second thread
 
 
 class PointRuns:
-    """Runs at points of some parameters, and the codes of their labels.
+    """Runs at points of some parameters, and the codes of their outcomes.
 
     study : Study
     parameters : dotted keys
-    lash : position of the one whose labels they are
-    labels : those that have codes already; others get the next ones
+    outcome : Quantity
+    lash : position of the one whose outcome it is
     engine : of threads
+    words : outcomes that have codes already; others get the next ones
+    progress : called with the numbers of points that have been run and that are expected, after each batch
     """
 
     def __init__(
-        self, study: Study, parameters: Sequence[str], labels: Sequence[str], engine: Executor, lash: int = 0
+        self,
+        study: Study,
+        parameters: Sequence[str],
+        outcome: Quantity,
+        lash: int,
+        engine: Executor,
+        *,
+        words: Sequence[Word] = (),
+        progress: Progress | None = None,
     ) -> None:
-        self._runner = Runner(measuring(study, ()), parameters, engine=engine)
-        self.study, self.lash = self._runner.study, lash
-        self._engine = engine
-        self._codes = {text: code for code, text in enumerate(labels)}
-        self._code_of_pattern: dict[int, int] = {}
+        self.runner = Runner(measuring(study, [outcome]), parameters, engine=engine)
+        self.study, self.outcome, self._lash = study, outcome, str(lash + 1)
+        self._progress, self.count = progress, 0
+        self.failures: dict[Status, int] = {}  # number of runs by cause
+        self._codes = {word: code for code, word in enumerate(words)}
 
     @property
     def cost(self) -> int:
         """How many runs of one common driveline, by exact or in `_STEPS` steps of rk4, take as long as one of these."""
-        solver, structural = self.study.solver, self._runner.grid.structural
+        solver, structural = self.study.solver, self.runner.grid.structural
         steps = solver.end_time / solver.step if solver.method == "rk4" else 0.0
         return max(1, round(steps / _STEPS), count_of_regimes(self.study) // 2 if structural else 1)
 
-    def __call__(self, values: Floats) -> Runs:
-        """Run points; values : (n, parameters), in their units. Returns (n,) RUN."""
-        runs = np.zeros(len(values), RUN)
-        for tile in self._runner.tiles(values):
-            runs[tile.cells] = self._described(tile)
-        return runs
+    def __call__(self, values: Floats, more: int = 0) -> Points:
+        """Run points; values : (n, parameters), in their units; more : number of points that are expected to follow."""
+        if not len(values):
+            return np.zeros(0, POINT)
+        results = self.runner.run(values).of_lash(self._lash)
+        points = np.zeros(len(values), POINT)
+        points["outcome"], points["measure"], points["touches"] = FAILED_CODE, np.nan, results.touches
+        finished = results.status == Status.OK
+        words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
+        known = [self._codes.setdefault(self._word(word), len(self._codes)) for word in words.tolist()]
+        points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
+        points["measure"][finished] = self._measure(results)[finished]
+        for status, count in zip(*np.unique(results.status[~finished], return_counts=True), strict=True):
+            self.failures[Status(status)] = self.failures.get(Status(status), 0) + int(count)
+        self.count += len(values)
+        if self._progress is not None:
+            self._progress(self.count, self.count + more)
+        return points
 
-    def _described(self, tile: Tile) -> Runs:
-        """RUN of each run of a tile."""
-        records, lashes = tile.records, self._runner.grid.layout.lashes
-        rows = records[self.lash :: lashes]
-        runs = np.zeros(rows.size, RUN)
-        runs["measure"], runs["touches"] = rows["margin"], rows["touches"]
-        patterns, inverse = np.unique(rows["pattern"], return_inverse=True)
-        runs["outcome"] = np.array([self._of_pattern(pattern) for pattern in patterns.tolist()])[inverse]
-        for row, flanks in long_sequences(records, [tile.details]):
-            if row % lashes == self.lash:
-                runs["outcome"][row // lashes] = self._code(label(flanks))
-        runs["outcome"][rows["status"] != Status.OK] = FAILED_CODE
-        return runs
+    def _word(self, value: str | float) -> Word:
+        return value if isinstance(value, str) else bool(value) if self.outcome.type == YES_NO else int(value)
 
-    def pairs(self, one: Floats, other: Floats) -> Iterator[tuple[Records, Events]]:
-        """Run pairs of points, (n, parameters) each, and keep their events.
+    def _measure(self, results: Results) -> Floats:
+        """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
+        if self.outcome.name == CHATTER:
+            return np.asarray(results.touches - results.primary_impacts - 0.5, np.float64)
+        base = self.outcome if self.outcome.base is None else self.outcome.base
+        if base.type in (TEXT, YES_NO):
+            return results.margin
+        return base.of_runs(results) - float(self.outcome.bound)
 
-        Yields of some pairs after the others CELL (k, 2), and EVENT (k, 2, events), with times NaN behind the last one.
+    def numbered(self, known: int = 0) -> tuple[tuple[Word, ...], Codes]:
+        """The outcomes and each code's number among them, of failed runs -1.
+
+        Those known before keep theirs; others follow in an order that does not depend on that of the runs.
         """
-        most = max(_EVENT_MEMORY // (2 * min(self.study.solver.max_events, EVENTS) + 2), 1)
-        pieces = [*range(0, len(one), min(most, max(-(-len(one) // self._runner.workers), _FEW)))]
-        keys = self._runner.keys
-
-        def run(begin: int, end: int) -> tuple[Records, Events]:
-            both = np.stack([one[begin:end], other[begin:end]], 1).reshape(-1, len(keys))
-            records, logs = self._runner.grid.logged(dict(zip(keys, both.T, strict=True)), len(both))
-            return records[:, self.lash].reshape(-1, 2), logs.reshape(end - begin, 2, -1)
-
-        ends = [*pieces[1:], len(one)]
-        return iter(self._engine.map(run, pieces, ends)) if len(pieces) > 1 else map(run, pieces, ends)
-
-    def _of_pattern(self, pattern: int) -> int:
-        if pattern == 0:  # failed, or too long for a pattern
-            return FAILED_CODE
-        if pattern not in self._code_of_pattern:
-            self._code_of_pattern[pattern] = self._code(label(flanks_of(pattern)))
-        return self._code_of_pattern[pattern]
-
-    def _code(self, text: str) -> int:
-        return self._codes.setdefault(text, len(self._codes))
-
-    def numbered(self, known: int) -> tuple[tuple[str, ...], Codes]:
-        """The labels and each code's number among them: those known before keep theirs, new ones follow in order."""
-        words = list(self._codes)
-        new = sorted(words[known:], key=lambda text: (excursions(text), text))
-        labels = (*words[:known], *new)
-        return labels, np.array([*(labels.index(text) for text in words), FAILED_CODE])
+        words = [*self._codes]
+        new = sorted(words[known:], key=lambda word: (excursions(word), word) if isinstance(word, str) else (word, ""))
+        ordered = (*words[:known], *new)
+        return ordered, np.array([*map(ordered.index, words), FAILED_CODE])

@@ -1,7 +1,7 @@
 """Thresholds: the values of a swept key at which an outcome changes, in every cell of the other axes.
 
 The runs at the axis's own values are a scan: between two neighbours of different outcome lies a threshold. All of these
-brackets are narrowed side by side (`clunk.analysis.brackets`).
+brackets are narrowed side by side (`clunk.analysis.search`).
 
 With tolerances each drawn driveline has thresholds of its own, along a further axis, `draw`; the draws are those of a
 tolerance map, made once for all cells.
@@ -9,11 +9,10 @@ tolerance map, made once for all cells.
 Thresholds that lie in pairs between two values of the axis show in no outcome there. They are looked for where touches
 differ by two or more, and where the number of the runs dips towards zero.
 
-It ends, whatever the runs do. Between two values of the axis `_LOOKED` runs at most look for hidden thresholds, down to
-the spacing over 2^`_HALVINGS`. Of neighbours whose outcomes differ, the bracket becomes `_MOST` at most, of which three
-steps in a row, with three runs each, at least halve each one. Where the outcome changes more often than that, as labels
-do where touches without end are cut off, or motion is chaotic, the brackets are left as wide as they are then: the
-place is unresolved, and told as such.
+It ends, whatever the runs do (`clunk.analysis.search`): hidden thresholds are looked for down to the spacing over
+2^`_HALVINGS`, and the bracket between neighbours whose outcomes differ becomes `_MOST` at most. Where the outcome
+changes more often than that, as labels do where touches without end are cut off, or motion is chaotic, the brackets are
+left as wide as they are then: the place is unresolved, and told as such.
 """
 
 from __future__ import annotations
@@ -21,20 +20,18 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from clunk.analysis.brackets import POINT, TOLERANCE, Points, narrow
-from clunk.analysis.searches import TOUCHES_OF_A_RUN, Search, side_by_side
+from clunk.analysis.pointruns import PointRuns, Word
+from clunk.analysis.search import POINT, TOLERANCE, Points, brackets, narrow, with_hidden
 from clunk.core.status import Status
-from clunk.results.labels import FAILED, FAILED_CODE, excursions
-from clunk.results.quantities import CHATTER, LABEL, NOMINAL, NUMBER, TEXT, YES_NO, Quantity, measuring, quantity_of
-from clunk.results.regimemap import Results
-from clunk.study.arrays import Bools, Codes, Floats
+from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
+from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError
@@ -44,26 +41,18 @@ from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
 from clunk.study.summaries import as_text
 from clunk.sweeping.progress import Progress, reporting
-from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
-
-Word = str | bool | int  # an outcome: a label, whether something holds, or a count; `FAILED` of a run that failed
 
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
 UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `clunk.analysis.quantiles`
 
-_TOUCHES = 2  # by which neighbours differ where something may be hidden between them
 # With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
 # they are 15, with 22 no more than with 16.
 _HALVINGS = 16  # of the spacing where something may be hidden
-# runs between two values of the axis that look for what is hidden, at most, but for those of a halving; of many touches
-# a run counts as several
-_LOOKED = 64
 _MOST = 32  # thresholds between two neighbours that are resolved
 # of the range, to which it is located where runs begin to fail: that says how far they were followed, no physics, and
 # runs of 10⁵ events take half a second each
 OFF_FAILURES = 1e-3
-_STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -265,21 +254,34 @@ def thresholds(
     """
     along_axis, axes = axes_of(study, along)
     position = lash_position(lash, study.lash_names)
-    search = _Search(study, along_axis, axes, parse(of, study), str(position + 1))
+    keys, values_at = _runner(study, along_axis, axes)
+    cells = math.prod(len(axis.values) for axis in axes)
+    points = np.zeros(cells * len(along_axis.values), POINT)
+    points["cell"] = np.repeat(np.arange(cells), len(along_axis.values))
+    points["value"] = np.tile(along_axis.values, cells)
     with (
-        engine_of(None, workers) as search.engine,
-        reporting(progress, scan_count(study), study, what="runs") as search.progress,
+        engine_of(None, workers) as engine,
+        reporting(progress, scan_count(study), study, what="runs") as report,
     ):
-        points = search.scan()
-        low, high = search.located(points)
+        point_runs = PointRuns(study, keys, parse(of, study), position, engine, progress=report)
+
+        def run(cells: Codes, values: Floats) -> Points:
+            return point_runs(values_at(cells, values), more=4 * values.size)
+
+        scanned = run(points["cell"], points["value"])
+        for name in ("outcome", "measure", "touches"):
+            points[name] = scanned[name]
+        points, _ = with_hidden(points, run, _HALVINGS)
+        span = float(np.ptp(along_axis.values))
+        low, high = narrow(brackets(points), run, span, tolerance_of_failures=OFF_FAILURES, most=_MOST)
     order = np.lexsort((low["value"], low["cell"]))
     low, high = low[order], high[order]
-    renumbered, words = search.numbered()
+    words, renumbered = point_runs.numbered()
     return Thresholds(
         study=study,
         along=along_axis,
         axes=axes,
-        outcome=search.outcome,
+        outcome=point_runs.outcome,
         words=words,
         lowest=renumbered[points["outcome"][np.unique(points["cell"], return_index=True)[1]]],
         cell=low["cell"].copy(),
@@ -287,8 +289,8 @@ def thresholds(
         off=0.5 * (high["value"] - low["value"]),
         below=renumbered[low["outcome"]],
         above=renumbered[high["outcome"]],
-        runs=search.runs,
-        failures=search.failures,
+        runs=point_runs.count,
+        failures=point_runs.failures,
         lash=study.lash_names[position] if len(study.lashes) > 1 else "",
     )
 
@@ -337,130 +339,25 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     return ascending, drawn + tuple(each for each in axes if each is not axis)
 
 
-@dataclass
-class _Search:
-    """Runs at values of the key, from a scan to narrow brackets."""
+def _runner(
+    study: Study, along: ResultAxis, axes: tuple[ResultAxis, ...]
+) -> tuple[list[str], Callable[[Codes, Floats], Floats]]:
+    """Keys that differ between runs, and a function: values of these (n, keys) in cells at values of the key."""
+    assert study.sweep is not None
+    tolerances = study.sweep.tolerances
+    drawn = [*zip(tolerances, drawn_numbers(study, tolerances) if tolerances else (), strict=True)]
+    swept = [axis.parameter for axis in axes if axis.parameter != DRAW]
+    keys = [*dict.fromkeys([*swept, along.parameter, *(tolerance.parameter for tolerance in tolerances)])]
+    shape = tuple(len(axis.values) for axis in axes)
 
-    study: Study
-    along: ResultAxis
-    axes: tuple[ResultAxis, ...]
-    outcome: Quantity
-    lash: str  # its number
-    progress: Progress | None = None
-    engine: Executor | None = None
-    runner: Runner | None = None
-    runs: int = 0
-    failures: dict[Status, int] = field(default_factory=dict)
-    codes: dict[Word, int] = field(default_factory=dict)  # in the order in which they were seen first
-
-    def __post_init__(self) -> None:
-        assert self.study.sweep is not None
-        self.nominal = measuring(self.study, [self.outcome])
-        tolerances = self.study.sweep.tolerances
-        self.drawn = [*zip(tolerances, drawn_numbers(self.study, tolerances) if tolerances else (), strict=True)]
-
-    def columns(self, cells: Codes, values: Floats) -> dict[str, Floats]:
-        """Values of each swept or toleranced parameter in some cells at these values of the key, (n,)."""
-        shape = tuple(len(axis.values) for axis in self.axes)
+    def values_at(cells: Codes, values: Floats) -> Floats:
         places = np.unravel_index(cells, shape) if shape else ()
-        columns = {axis.parameter: axis.values[at] for axis, at in zip(self.axes, places, strict=True)}
-        columns[self.along.parameter] = values
+        columns = {axis.parameter: axis.values[at] for axis, at in zip(axes, places, strict=True)}
+        columns[along.parameter] = values
         draws = columns.pop(DRAW, np.ones(1)).astype(np.int64)
-        for tolerance, numbers in self.drawn:
-            parameter = tolerance.parameter
-            around = columns.get(parameter, nominal_value(self.nominal, parameter))
-            columns[parameter] = tolerance.applied(numbers[draws - 1], around)
-        return columns
+        for tolerance, numbers in drawn:
+            around = columns.get(tolerance.parameter, nominal_value(study, tolerance.parameter))
+            columns[tolerance.parameter] = tolerance.applied(numbers[draws - 1], around)
+        return np.stack(np.broadcast_arrays(*(columns[key] for key in keys)), axis=1)
 
-    def run(self, cells: Codes, values: Floats, more: int = 0) -> Points:
-        """Run the cells at these values of the key; more : number of runs that are expected to follow."""
-        columns = self.columns(cells, values)
-        if self.runner is None:
-            self.runner = Runner(self.nominal, [*columns], engine=self.engine)
-        results = self.runner(self.runner.values(columns)).of_lash(self.lash)
-        points = np.zeros(values.size, POINT)
-        points["cell"], points["value"], points["touches"] = cells, values, results.touches
-        finished = results.status == Status.OK
-        unique, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
-        known = [self.codes.setdefault(self._word(value), len(self.codes)) for value in unique.tolist()]
-        points["outcome"], points["measure"] = FAILED_CODE, np.nan
-        points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
-        points["measure"][finished] = self._measure(results)[finished]
-        for status, count in zip(*np.unique(results.status[~finished], return_counts=True), strict=True):
-            self.failures[Status(status)] = self.failures.get(Status(status), 0) + int(count)
-        self.runs += values.size
-        if self.progress is not None:
-            self.progress(self.runs, self.runs + more)
-        return points
-
-    def _word(self, value: str | float) -> Word:
-        return value if isinstance(value, str) else bool(value) if self.outcome.type == YES_NO else int(value)
-
-    def _measure(self, results: Results) -> Floats:
-        """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
-        if self.outcome.name == CHATTER:
-            return np.asarray(results.touches - results.primary_impacts - 0.5, np.float64)
-        base = self.outcome if self.outcome.base is None else self.outcome.base
-        if base.type in (TEXT, YES_NO):
-            return results.margin
-        return base.of_runs(results) - float(self.outcome.bound)
-
-    def scan(self) -> Points:
-        """Run the axis's own values in every cell, and more where something may be hidden; by cell and value."""
-        cells = math.prod(len(axis.values) for axis in self.axes)
-        points = self.run(np.repeat(np.arange(cells), len(self.along.values)), np.tile(self.along.values, cells))
-        looked = np.zeros((cells, len(self.along.values)), np.int64)  # runs behind each value of the axis
-        for _ in range(_HALVINGS):
-            between = np.flatnonzero(_may_hide(points))
-            behind = np.searchsorted(self.along.values, points["value"][between], side="right") - 1
-            begun = points["cell"][between], behind
-            few = looked[begun] < _LOOKED
-            between, begun = between[few], (begun[0][few], behind[few])
-            if not between.size:
-                break
-            middles = 0.5 * (points["value"][between] + points["value"][between + 1])
-            runs = self.run(points["cell"][between], middles)
-            np.add.at(looked, begun, 1 + np.maximum(runs["touches"], 0) // TOUCHES_OF_A_RUN)
-            points = np.insert(points, between + 1, runs)
-        return points
-
-    def located(self, points: Points) -> tuple[Points, Points]:
-        """Narrow the brackets between neighbours whose outcomes differ; returns their lower and their upper ends."""
-        apart = (points["cell"][:-1] == points["cell"][1:]) & (points["outcome"][:-1] != points["outcome"][1:])
-        at = np.flatnonzero(apart)
-        around = np.clip(at[:, None] + np.arange(-1, 3), 0, points.size - 1)
-        around = np.where(points["cell"][around] == points["cell"][at, None], around, at[:, None] + [0, 0, 1, 1])
-
-        def run_at(cells: Codes, values: Floats) -> Search[Points]:
-            return (yield np.column_stack([cells, values]))
-
-        span = float(np.ptp(self.along.values))
-        narrowing = narrow(points[around], run_at, span, tolerance_of_failures=OFF_FAILURES, most=_MOST)
-        (ends,) = side_by_side(self._run_within, narrowing)
-        return ends[0], ends[1]
-
-    def _run_within(self, places: Floats) -> Points:
-        return self.run(places[:, 0].astype(np.int64), places[:, 1], more=4 * len(places))
-
-    def numbered(self) -> tuple[Codes, tuple[Word, ...]]:
-        """New codes by old ones, in an order that does not depend on that of the runs, and the outcome of each."""
-        words = sorted(self.codes, key=lambda word: (excursions(word), word) if isinstance(word, str) else (word, ""))
-        new = np.full(len(words) + 1, FAILED_CODE)
-        new[[self.codes[word] for word in words]] = np.arange(len(words))
-        return new, tuple(words)
-
-
-def _may_hide(points: Points) -> Bools:
-    """Whether thresholds may be hidden between each point and the next, of one cell and of the same outcome."""
-    left, right = points[:-1], points[1:]
-    alike = (left["cell"] == right["cell"]) & (left["outcome"] == right["outcome"]) & (left["outcome"] != FAILED_CODE)
-    hidden = np.abs(right["touches"] - left["touches"]) >= _TOUCHES
-    width, least = right["value"] - left["value"], np.abs(points["measure"])
-    slope = np.abs(np.diff(least)) / width
-    # whatever the signs: across a sliver a margin may pass from what did not happen to what did
-    is_dip = alike[:-1] & alike[1:] & (least[1:-1] <= np.minimum(least[:-2], least[2:]))
-    slope = _STEEPER * np.maximum(slope[:-1], slope[1:])
-    hidden[:-1] |= is_dip & (least[1:-1] < slope * width[:-1])
-    hidden[1:] |= is_dip & (least[1:-1] < slope * width[1:])
-    suspect: Bools = alike & hidden
-    return suspect
+    return keys, values_at
