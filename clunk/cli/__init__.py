@@ -73,16 +73,27 @@ def main() -> NoReturn:
     except click.ClickException as error:
         terminal.complain(error.format_message())
         sys.exit(EXIT_USAGE)
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as stopped:
+        _tell_notes(stopped.__cause__ or stopped)
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
+    except SystemExit as stopped:
+        _tell_notes(stopped)
+        raise
     except BrokenPipeError:  # the reader of our output has gone, for example `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_INTERNAL)
     except ClunkError as error:
         terminal.complain(str(error))
+        _tell_notes(error)
         sys.exit(EXIT_USAGE)
     sys.exit(0)
+
+
+def _tell_notes(stopped: BaseException) -> None:
+    """Print what is kept of a run that was stopped."""
+    for note in getattr(stopped, "__notes__", ()):
+        terminal.complain(f"stopped: {note}")
 
 
 def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:

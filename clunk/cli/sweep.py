@@ -14,9 +14,6 @@ from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, set_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-    from contextlib import AbstractContextManager
-
     from clunk.results.tolerancemap import AnyMap
     from clunk.study.study import Study
     from clunk.sweeping.sweep import Job
@@ -87,14 +84,20 @@ def sweep(
     targets.check(target, targets.RESULTS, reads=config)
     from clunk.sweeping.sweep import engine_of, opened
 
-    opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
-    with opened(target, study, retry=retry_failed, restart=restart, force=force) as job:
+    opening = engine_of(scheduler, workers, say=terminal.complain)
+    with opened(target, study, retry=retry_failed, restart=restart, force=force, say=terminal.complain) as job:
         earlier = getattr(job.earlier, "boundaries", None)
         if retry_failed and boundaries is None:  # those of the file belong to its old labels
             traces = earlier is not None
         if job.is_complete:
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
-        result = job.finished() if job.is_complete else _run(job, opening)
+        if job.is_complete:
+            result = job.finished()
+        else:
+            job.check()
+            terminal.warm_up(study, "swept")
+            with opening as engine, progress.shown(job.design.cells) as show:
+                result = job.run(engine, progress=show)
         failed = _report(result, job, as_json)
         if traces:
             _trace(job, result, study, lash or getattr(earlier, "lash", None) or None, workers)
@@ -111,30 +114,12 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
             return with_boundaries(study, results, lash=lash, workers=workers, progress=show)
 
     began = time.perf_counter()
-    with terminal.telling_what_is_kept(lambda: job.kept):
-        traced = job.add(result, trace)
+    traced = job.add(result, trace)
     if traced is not result and traced.boundaries is not None:
         ((_, numbers),) = traced.boundaries.summary()
         click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
         if traced.boundaries.unresolved_sentence:
             click.echo(traced.boundaries.unresolved_sentence, err=True)
-
-
-def _run(job: Job, opening: AbstractContextManager[Executor]) -> AnyMap:
-    """Run a sweep with a progress bar; print what is used of an earlier one, and what is kept where it is stopped."""
-    parts = job.parts
-    terminal.warm_up(job.study, "swept")
-    is_reported = False
-    with terminal.telling_what_is_kept(lambda: job.kept), opening as engine, progress.shown(job.design.cells) as show:
-
-        def advance(done: int, total: int) -> None:
-            nonlocal is_reported
-            if not is_reported and parts is not None:
-                terminal.report_resumed(parts.taken_up, parts.discarded)
-            is_reported = True
-            show(done, total)
-
-        return job.run(engine, progress=advance)
 
 
 def _report(result: AnyMap, job: Job, as_json: bool) -> int:
@@ -154,7 +139,8 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     if not job.is_complete:
         terminal.report_speed(job, draws)
     terminal.report_failures(result, " for some draws" if draws else "")
-    terminal.report_caveats(result.caveats)
+    for caveat in result.caveats:
+        terminal.complain(f"note: {caveat}")
     if sys.stdout.isatty() and not as_json and is_drawable(first.axes):
         click.echo()
         tables.print_map(result)

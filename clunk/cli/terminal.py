@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from clunk.cli.options import EXIT_INTERRUPTED, EXIT_USAGE
 from clunk.study.records import fill, words
 from clunk.study.summaries import WIDTH, counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterator
     from typing import TextIO
 
     from matplotlib.figure import Figure
@@ -106,33 +105,6 @@ def warm_up(study: Study, verb: str | None = None) -> None:
     cells.warm_up(study)
 
 
-@contextmanager
-def telling_what_is_kept(kept: Callable[[], str]) -> Iterator[None]:
-    """Where a run is stopped by a signal or an EngineError, print what is kept of it, and exit."""
-    from clunk.sweeping.engines import EngineError
-
-    try:
-        yield
-    except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
-        if isinstance(stopped, EngineError):
-            complain(str(stopped))
-        complain(f"stopped: {kept()}")
-        if isinstance(stopped, SystemExit):
-            raise
-        if isinstance(stopped, EngineError):
-            sys.exit(EXIT_USAGE)
-        click.echo("interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
-
-
-def report_resumed(taken_up: int, discarded: int) -> None:
-    """Print how many finished cells of a stopped sweep are used, and how many parts are not."""
-    if taken_up:
-        click.echo(f"{counted(taken_up, 'cell')} were finished before; going on from there", err=True)
-    if discarded:
-        click.echo(f"{counted(discarded, 'part')} of other versions, or damaged: their cells are run again", err=True)
-
-
 def report_speed(job: Job, draws: int = 0) -> None:
     """Print the number of cells, the time and the speed; a cell of a tolerance map has a run for each draw."""
     seconds, taken_up = job.seconds, 0 if job.parts is None else job.parts.taken_up
@@ -160,12 +132,6 @@ def report_failures(results: AnyMap, how: str = "") -> None:
             click.echo(fill(f"at {words(at)}", "  ", "     "), err=True)
         if len(cells) > 3:
             click.echo(f"  and {len(cells) - 3:,} more", err=True)
-
-
-def report_caveats(caveats: Iterable[str]) -> None:
-    """Print what a map's labels or probabilities do not tell."""
-    for caveat in caveats:
-        complain(f"note: {caveat}")
 
 
 def say_written(path: Path) -> None:

@@ -23,6 +23,7 @@ from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest
+from clunk.study.summaries import counted
 from clunk.sweeping.cells import warm_up
 from clunk.sweeping.engines import EngineError, Threads, run_tiles
 from clunk.sweeping.machine import available_cores, available_memory, provenance
@@ -52,6 +53,7 @@ class Job:
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
     is_complete : whether the file is complete already, so that there is nothing to run
+    say : called with messages on what is taken up
     ran, seconds : number of cells that `run` has run, and the time that they took
     is_written : whether the map is in its file
     """
@@ -65,12 +67,14 @@ class Job:
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
         is_complete: bool = False,
+        say: Callable[[str], None] | None = None,
     ) -> None:
         self.study = study
         self.design = design or design_of(study)
         self.earlier = earlier
         self.directory, self.path, self.is_complete = directory, path, is_complete
         self.ran, self.seconds, self.is_written = 0, 0.0, is_complete
+        self._say = say or (lambda _text: None)
 
     @cached_property
     def reduction(self) -> Reduction:
@@ -92,6 +96,10 @@ class Job:
     def parts(self) -> Parts | None:
         """Finished cells on the disk, if they are kept. Raises PartsError where they are another sweep's."""
         return None if self.directory is None or self.earlier is not None else Parts(self.directory, self.study)
+
+    def check(self) -> None:
+        """Refuse what cannot run, before anything is compiled. Raises as `reduction` and `parts`."""
+        _ = self.reduction, self.parts
 
     @property
     def kept(self) -> str:
@@ -148,8 +156,13 @@ class Job:
         before = reduction.done
         for tile in parts.read() if parts is not None else ():
             reduction.add(tile)
-        if progress is not None and parts is not None and parts.taken_up:
-            progress(reduction.done, self.design.cells)
+        if parts is not None and parts.discarded:
+            discarded = counted(parts.discarded, "part")
+            self._say(f"{discarded} of other versions, or damaged: their cells are run again")
+        if parts is not None and parts.taken_up:
+            self._say(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there")
+            if progress is not None:
+                progress(reduction.done, self.design.cells)
         try:
             with opening as executor:
                 cells = np.flatnonzero(~reduction.known)
@@ -188,12 +201,14 @@ def opened(
     retry: bool = False,
     restart: bool = False,
     force: bool = False,
+    say: Callable[[str], None] | None = None,
 ) -> Iterator[Job]:
     """Lock a results file for a sweep, and take up the finished cells.
 
     path : results file, whose directory exists; None for a sweep in memory
     restart, force : as of `clunk.sweep`
     retry : whether to run only the failed cells of the finished file again
+    say : called with messages on what is taken up
 
     Raises ClunkError where the file holds something else, StoreError where `retry` finds none that can be read, and
     PartsError where it is being written, or another sweep into it has been stopped.
@@ -212,7 +227,7 @@ def opened(
         if path.exists() and not force:
             _refuse_others(path, study)
             is_complete = not restart
-        job = Job(study, directory=directory, path=path, is_complete=is_complete)
+        job = Job(study, directory=directory, path=path, is_complete=is_complete, say=say)
         if is_complete and directory.parts():  # of a process that was killed when its file was in place
             with suppress(PartsError):  # another sweep's parts stay
                 _ = job.parts
