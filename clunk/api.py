@@ -21,7 +21,7 @@ from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
 from clunk.study.errors import ClunkError
-from clunk.study.lashes import lash_position
+from clunk.study.models import lash_position
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping

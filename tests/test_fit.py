@@ -19,7 +19,7 @@ from clunk.cli import cli
 from clunk.results.labels import flanks_of_label
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError
-from clunk.study.fits import Fit
+from clunk.study.models import Fit
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, to_toml
 from clunk.study.sweeps import Draw

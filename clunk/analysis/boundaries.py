@@ -28,7 +28,7 @@ from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, has_tolerances
 from clunk.study.errors import ClunkError
-from clunk.study.lashes import lash_position
+from clunk.study.models import lash_position
 from clunk.study.parameters import located
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress

@@ -27,9 +27,8 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import nominal
 from clunk.study.document import dotted, leaves
 from clunk.study.errors import ClunkError
-from clunk.study.records import SENTENCE, Record, tells, told
+from clunk.study.records import SENTENCE, Record, counted, percent, tells, told
 from clunk.study.study import Study
-from clunk.study.summaries import counted, percent
 from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress, reporting

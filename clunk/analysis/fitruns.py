@@ -23,8 +23,8 @@ from clunk.study.arrays import Array, Bools, Floats, Patterns, Positions, Record
 from clunk.study.axes import variable_of
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
-from clunk.study.fits import Fit
 from clunk.study.keys import key_at
+from clunk.study.models import Fit
 from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress

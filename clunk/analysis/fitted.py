@@ -25,8 +25,8 @@ from clunk.results.regimemap import Results
 from clunk.study.arrays import Floats, Patterns, Positions, Records
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
-from clunk.study.fits import Fit
 from clunk.study.keys import key_at
+from clunk.study.models import Fit
 from clunk.study.parameters import located, nominal_value
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study, content

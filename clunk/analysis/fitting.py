@@ -24,7 +24,7 @@ from clunk.analysis.measurements import Experiment, read_experiment
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
-from clunk.study.lashes import lash_position
+from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value
 from clunk.study.rules import load_complaint
 from clunk.study.study import Study

@@ -18,7 +18,7 @@ from clunk.study.document import read_text
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import parameters
 from clunk.study.problems import nearest, shorten
-from clunk.study.summaries import counted
+from clunk.study.records import counted
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
 

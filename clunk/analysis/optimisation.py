@@ -22,8 +22,7 @@ from clunk.simulation.load import loads_of
 from clunk.study.arrays import Bools, Floats
 from clunk.study.designs import design_of, drawn_numbers, has_tolerances, nominal
 from clunk.study.errors import ClunkError
-from clunk.study.lashes import lash_position
-from clunk.study.optimisation import Optimize
+from clunk.study.models import Optimize, lash_position
 from clunk.study.parameters import nominal_value
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values

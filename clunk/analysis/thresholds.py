@@ -35,11 +35,11 @@ from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError
-from clunk.study.lashes import lash_position
+from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value
 from clunk.study.problems import listing, nearest, shorten
+from clunk.study.records import as_text
 from clunk.study.study import Study
-from clunk.study.summaries import as_text
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.sweep import engine_of
 

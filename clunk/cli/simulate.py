@@ -71,7 +71,7 @@ def simulate(
     """
     from clunk.results import targets
     from clunk.simulation.trajectory import simulate as run
-    from clunk.study.lashes import lash_position
+    from clunk.study.models import lash_position
 
     if output is None and (figure != "everything" or step is not None):
         raise click.UsageError("--figure and --step need -o, the file to draw or save to.")

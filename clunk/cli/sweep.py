@@ -68,7 +68,7 @@ def sweep(
     from clunk.results import targets
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances
-    from clunk.study.lashes import lash_position
+    from clunk.study.models import lash_position
 
     study = load_study(config, overrides)
     if has_tolerances(study) and retry_failed:

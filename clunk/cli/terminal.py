@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from clunk.study.records import fill, words
-from clunk.study.summaries import WIDTH, counted
+from clunk.study.records import WIDTH, counted, fill, words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -23,8 +23,7 @@ from clunk.cli.options import (
     workers_option,
 )
 from clunk.study.errors import ClunkError
-from clunk.study.records import fill, number
-from clunk.study.summaries import counted
+from clunk.study.records import counted, fill, number
 
 if TYPE_CHECKING:
     from clunk.analysis.thresholds import Thresholds
@@ -102,7 +101,7 @@ def thresholds(
     from clunk.simulation.load import load_step
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
-    from clunk.study.lashes import lash_position
+    from clunk.study.models import lash_position
 
     study = load_study(config, overrides)
     if along is None:

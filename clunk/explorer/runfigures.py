@@ -17,7 +17,7 @@ from clunk.explorer.message import Changes, Message, columns, source
 from clunk.plot.style import FAINT_INK, INK
 from clunk.simulation.history import History
 from clunk.study.arrays import Floats
-from clunk.study.summaries import html_table
+from clunk.study.records import html_table
 
 _COLUMNS = 800  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve

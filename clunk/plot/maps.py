@@ -47,7 +47,7 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import LABEL, NUMBER, WHOLE, YES_NO
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
-from clunk.study.summaries import counted
+from clunk.study.records import counted
 
 POINT = 6.5  # points, diameter of a measured point
 POINT_LOOKS: dict[bool, dict[str, Any]] = {  # of points that agree, and that do not

@@ -19,8 +19,7 @@ from clunk.plot.plane import drawn_axes, surplus_axes
 from clunk.plot.style import styled
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
-from clunk.study.records import columns_of
-from clunk.study.summaries import html_table
+from clunk.study.records import columns_of, html_table
 
 _STYLE = """
 body { color: #1c2126; font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em }

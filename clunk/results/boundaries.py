@@ -12,7 +12,7 @@ import numpy.typing as npt
 from clunk.results.labels import FAILED
 from clunk.study.arrays import Array, Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.summaries import Rows, as_text, counted
+from clunk.study.records import Rows, as_text, counted
 
 EVENTS = (
     "unknown",

@@ -18,8 +18,8 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity
 from clunk.study.arrays import Array, Floats, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
-from clunk.study.lashes import lash_name, lash_position
-from clunk.study.summaries import Rows, as_text, counted
+from clunk.study.models import lash_name, lash_position
+from clunk.study.records import Rows, as_text, counted
 
 Index = tuple[slice | int, ...]
 

@@ -22,7 +22,7 @@ from clunk.results.quantities import (
     named_numbers,
 )
 from clunk.study.arrays import Array, Bools, Floats
-from clunk.study.summaries import Rows, counted
+from clunk.study.records import Rows, counted
 
 
 class Results(Map):

@@ -14,7 +14,7 @@ from clunk.results.maps import Map, share
 from clunk.results.quantities import CHATTER, NOMINAL, OF_RUNS, TEXT, TOLERANCE_QUANTITIES, YES_NO, Quantity
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Floats
-from clunk.study.summaries import Rows, counted
+from clunk.study.records import Rows, counted
 
 QUANTILES = (0.05, 0.5, 0.95)
 _QUANTILE_NAMES = [f"severity_{100 * level:g}" for level in QUANTILES]

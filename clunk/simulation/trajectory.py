@@ -21,8 +21,8 @@ from clunk.simulation.load import run_load, torque_at, wave_rates
 from clunk.simulation.phases import preload
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
+from clunk.study.records import Rows, as_text
 from clunk.study.study import Study
-from clunk.study.summaries import Rows, as_text
 
 _EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "Qi [rad/s²]")
 _LAST = 1000  # events of a run that has too many: what repeats is among them

@@ -4,20 +4,19 @@ The units are the config's (degrees, N/m at a radius); `clunk.simulation` conver
 validator here looks at one table; the rules that tie tables to one another are in `clunk.study.rules`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, model_validator
 
 from clunk.study.document import Place, items_of
-from clunk.study.fits import Fit
-from clunk.study.lashes import lash_name
 from clunk.study.loads import Load
 from clunk.study.measures import Measure
-from clunk.study.optimisation import Optimize
-from clunk.study.sweeps import Sweep
+from clunk.study.problems import ConfigError, listing, shorten
+from clunk.study.sweeps import Draws, Sweep
 from clunk.study.tables import (
+    MOST_DRAWS,
     ONE,
     SEVERAL,
     Ends,
@@ -187,6 +186,86 @@ class Impacts(Table):
     quantities: tuple[Literal["impulse", "peak_torque", "energy"], ...] = ()
 
 
+class Fit(Table):
+    """Parameters that are fitted to measurements.
+
+    parameters : with their priors; a factor or an offset of a measured key acts on its measured values
+    candidates : int, the most of the search for the best fit
+    effective_draws : int, effective size that the ensemble is to have
+    draws : int, the most of the ensemble
+    seed : int, the same one gives the same fit
+    wrong_labels : float, expected share of measured labels that are wrong or that no parameters could meet
+    scatter : float, scale of the distance, as a share of the operating point's values, of labels that are not met
+    """
+
+    parameters: Draws
+    candidates: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 3000
+    effective_draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 400
+    draws: Annotated[int, Field(ge=64, le=MOST_DRAWS)] = 8192
+    seed: Annotated[int, Field(ge=0)] = 0
+    wrong_labels: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    scatter: Positive = 0.2
+
+    def contradictions(self) -> Iterator[Finding]:
+        """Require that no two entries draw the same number."""
+        taken: dict[tuple[str, str], int] = {}
+        for k, entry in enumerate(self.parameters):
+            first = taken.setdefault((entry.parameter, entry.draws), k)
+            if first != k:
+                text = f"{entry.parameter} ({entry.draws}) is fitted by fit.parameters[{first + 1}] already"
+                yield ("parameters", k, "parameter"), text
+
+
+class FreeParameter(Table):
+    """A number that is searched from low to high, in its key's unit.
+
+    parameter : dotted key, or several keys that all take the number
+    """
+
+    parameter: Annotated[
+        Annotated[Text, Tag(ONE)] | Annotated[tuple[Text, ...], Field(min_length=1), Tag(SEVERAL)],
+        OneOrSeveral,
+        Field(description='a dotted numeric key, or a list of keys that take one value, ["load.levels[1]"]'),
+    ]
+    low: float
+    high: float
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys that take the number."""
+        return self.parameter if isinstance(self.parameter, tuple) else (self.parameter,)
+
+    def contradictions(self) -> Iterator[Finding]:
+        """Require low < high."""
+        if not self.low < self.high:
+            yield ("high",), f"found {self.high:g}; must be greater than low = {self.low:g}"
+
+
+class Optimize(Table):
+    """The values of some keys that minimise a key or a quantity while others hold.
+
+    minimize : one of the parameters' keys, or a quantity of runs: over axes its worst value
+    subject_to : quantities that must hold, such as ``label=NI`` or ``severity<=8000``, in every cell of the axes
+    robust : share of the drawn drivelines in which they hold; with sweep.tolerances only
+    seed : int, the same one gives the same answer
+    """
+
+    minimize: Text
+    subject_to: tuple[Text, ...] = ()
+    robust: Annotated[float | None, Field(gt=0, le=1)] = None
+    seed: Annotated[int, Field(ge=0)] = 0
+    parameters: Annotated[tuple[FreeParameter, ...], Field(min_length=1)]
+
+    def contradictions(self) -> Iterator[Finding]:
+        """Require that no key is free twice."""
+        taken: dict[str, int] = {}
+        for k, each in enumerate(self.parameters):
+            for key in each.keys:
+                if taken.setdefault(key, k) != k:
+                    text = f"{key} is free as optimize.parameters[{taken[key] + 1}] already"
+                    yield ("parameters", k, "parameter"), text
+
+
 class Config(Table):
     """Tables of a config, each sound by itself; of several lashes `lash` is a tuple."""
 
@@ -229,3 +308,24 @@ class Config(Table):
     def measured(self) -> bool:
         """Whether runs are measured by more than Q and V."""
         return bool(self.impacts.quantities or self.measures)
+
+
+def lash_name(position: int, name: str | None) -> str:
+    """Name of the lash at a position in its config, which may leave it out."""
+    return name or f"lash {position + 1}"
+
+
+def lash_position(name: str | None, names: Sequence[str]) -> int:
+    """Position of the lash of a name or number from 1 among those with these names; of None, the first.
+
+    Raises
+    ------
+    ConfigError
+        Where there is none.
+    """
+    if name is None or name in names:
+        return 0 if name is None else list(names).index(name)
+    if name.isdecimal() and 1 <= int(name) <= len(names):
+        return int(name) - 1
+    there = f"there are {listing(names)}" if len(names) > 1 else f"there is only {names[0]}"
+    raise ConfigError(f"There is no lash {shorten(name)}; {there}.")

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 from clunk.study.document import Place, dotted, items_of, parse_place, value_at
 from clunk.study.keys import ITEM, Key, key_at, keys
-from clunk.study.lashes import lash_name
-from clunk.study.models import Config
+from clunk.study.models import Config, lash_name
 from clunk.study.problems import ConfigError, Problem, nearest, shorten
 from clunk.study.tables import Quantity
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clunk.study.errors import ClunkError
-from clunk.study.summaries import WIDTH, counted, cut
+from clunk.study.records import WIDTH, counted, cut
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,14 @@ import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from html import escape
 from typing import Any
 
-from clunk.study.summaries import WIDTH, as_text
-
 SENTENCE = "."
+WIDTH = 80  # columns of a terminal
+Rows = Sequence[tuple[str, str]]
+
+_LEFT = ' style="text-align: left"'  # browsers centre the headings of tables
 _MOST = 30  # rows of a table in a text; scripts get all
 
 
@@ -259,3 +262,41 @@ def _is_block(value: Any) -> bool:
         return any(isinstance(item, Mapping | Record) for item in value.values())
     is_table = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Record | Mapping)
     return isinstance(value, Record) or is_table
+
+
+# --- summaries of objects, phrases and HTML
+
+
+def as_text(heading: str, rows: Rows) -> str:
+    """A heading and a line for each row, none longer than a terminal is wide."""
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join(
+        [f"<{cut(heading, WIDTH - 2)}>", *(cut(f"  {name:<{width}}  {text}", WIDTH) for name, text in rows)]
+    )
+
+
+def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
+    """A table whose texts, which may be anyone's, are escaped."""
+    head = "".join(f"<th{_LEFT}>{escape(text)}</th>" for text in header)
+    body = "".join(f"<tr>{''.join(f'<td{_LEFT}>{escape(text)}</td>' for text in row)}</tr>" for row in rows)
+    return f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things, for example 1,024 cells."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def percent(part: int, whole: int) -> str:
+    """A share in percent, which never reads as none or all where it is not."""
+    share = 100.0 * part / whole
+    if 0 < share < 0.01:
+        return "less than 0.01 %"
+    if 99.99 < share < 100:
+        return "more than 99.99 %"
+    return f"{share:.2g} %" if share < 10 else f"{share:.4g} %" if share > 99 else f"{share:.3g} %"
+
+
+def cut(text: str, width: int) -> str:
+    """A text of at most `width` characters, the last of them … where it was longer."""
+    return text if len(text) <= width else text[: width - 1] + "…"

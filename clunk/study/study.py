@@ -14,8 +14,8 @@ from clunk.study.loads import numbers
 from clunk.study.models import NOT_OF_A_RUN, Config, Contact, Lash
 from clunk.study.parameters import located, plain_number
 from clunk.study.problems import Problem, report
+from clunk.study.records import Rows, as_text, counted
 from clunk.study.rules import broken_rules
-from clunk.study.summaries import Rows, as_text, counted
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
 

@@ -22,8 +22,8 @@ from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
+from clunk.study.records import counted
 from clunk.study.study import Study, digest
-from clunk.study.summaries import counted
 from clunk.sweeping.cells import warm_up
 from clunk.sweeping.engines import EngineError, Threads, run_tiles
 from clunk.sweeping.machine import available_cores, available_memory, provenance
