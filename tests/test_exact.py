@@ -3,16 +3,12 @@
 The reference and the exact method are each good to rounding; how far they agree: see `agreement`.
 """
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from helpers import margins, reference
-from helpers.agreement import both_methods_are_the_reference, check, exact, kinds_of, propagated, sticking_time
-from helpers.randomplants import general_plants, plants, rolling_plants
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
+from helpers.agreement import both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
 
 from clunk.api import run_points
 from clunk.core.status import QUALITY_GRAZING
@@ -64,33 +60,6 @@ class TestTheReportsDriveline:
         assert cut.end == 0.999 * last
         assert len(cut.events) < len(whole.events)
         assert np.array_equal(cut.events["time"], whole.events["time"][: len(cut.events)])
-
-
-# Random drivelines
-
-SEARCH = {"deadline": None, "phases": [Phase.generate], "suppress_health_check": list(HealthCheck)}
-RESTITUTION = st.sampled_from([0.0, 0.3, 0.5, 0.7])
-DRAWN = {  # and how many of them
-    "by indentation": (plants(), 15),
-    "by restitution": (RESTITUTION.flatmap(plants), 25),
-    "held by nothing": ((st.none() | RESTITUTION).flatmap(rolling_plants), 10),
-    "geared, under any load": ((st.none() | RESTITUTION).flatmap(general_plants), 6),
-}
-
-
-@pytest.mark.parametrize("times", [1, pytest.param(30, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", DRAWN)
-def test_random_drivelines_are_as_in_the_reference(kind, times):
-    drivelines, count = DRAWN[kind]
-
-    @settings(max_examples=count * times, **SEARCH)
-    @given(drivelines)
-    def search(drawn):
-        plant, state = drawn
-        # a config's sine begins at the torque after the load step
-        check(replace(plant, profile=replace(plant.profile, phase=0.0)), state)
-
-    search()
 
 
 # Turns within a phase's first step, and turns above the guard's value at the end of the step.

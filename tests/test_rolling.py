@@ -6,9 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.randomplants import END_TIME, rolling_plants
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from clunk.api import run_points
 from clunk.core.status import Status
@@ -188,25 +185,6 @@ def test_a_truck_that_rolls_fast_has_few_events_also_where_a_touch_is_all_but_no
     runs = run_points(study_of(TRUCK, end_time=6.0), {"load.duration": durations})
     assert np.all(runs.status == Status.OK)
     assert runs.touches.max() <= runs.touches.min() + 2
-
-
-@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@given((st.none() | st.sampled_from([0.0, 0.5])).flatmap(rolling_plants))
-def test_rk4_converges_to_the_exact_events_of_random_drivelines_that_roll(drawn):
-    """Half the step leaves a fifteenth of the error; a third of the difference has room for grids that fall unevenly.
-
-    Events are compared until halving moves one by more than 1e-7 s: what follows is not resolved by these steps.
-    """
-    plant, _ = drawn
-    coarse, fine, exact = (
-        simulate(study_of(plant, method, step, END_TIME)).events
-        for method, step in (("rk4", 4e-5), ("rk4", 2e-5), ("exact", 1e-4))
-    )
-    for one, two, three in zip(coarse, fine, exact, strict=False):
-        if one["kind"] != two["kind"] or abs(one["time"] - two["time"]) > 1e-7:
-            return
-        assert (two["kind"], two["side"]) == (three["kind"], three["side"])
-        assert two["time"] == pytest.approx(three["time"], abs=abs(one["time"] - two["time"]) / 3.0 + 1e-9)
 
 
 @pytest.mark.parametrize("plant", [CAR, COASTING], ids=["dragged", "coasting"])
