@@ -28,17 +28,15 @@ _OF_LASH = 11
 # inputs behind the second, nor that.
 
 # A search's numbers, those that change most often first.
-TIME_LEFT = 0  # s; of a depth, in shortest spans
-# of extremes the largest and the smallest value so far; of a turn, both the lowest so far; of a depth, the largest that
-# matters, and the depth
-TOP, BOTTOM = 1, 2
-AT, AT_SLOPE, AT_CURVATURE, AT_JERK = 3, 4, 5, 6  # the origin's value and first three derivatives
-BY_SIGN, BY_SHIFT = 7, 8  # what makes a guard of the functional
-COUNTS = 9  # s: a turn counts while TIME_LEFT is at most this
-OF_A_SEARCH = 10
-# Which of a run's searches that is: of the extremes of each lash's acceleration, or of a depth, which begins only after
-# those have ended; behind those, of a turn of each guard.
-EXTREMES_SEARCH = DEPTH_SEARCH = 0
+TIME_LEFT = 0  # s
+TOP, BOTTOM = 1, 2  # a turn is looked for that is higher or lower, and becomes that: the extremes so far
+BY_SIGN, BY_SHIFT = 3, 4  # what makes a guard of the functional
+COUNTS = 5  # s: a turn counts while TIME_LEFT is at most this
+UNTIL = 6  # the search ends below that, and with the first turn; -inf: it does not
+AT, AT_SLOPE, AT_CURVATURE, AT_JERK = 7, 8, 9, 10  # the origin's value and first three derivatives
+OF_A_SEARCH = 11
+# Which of a run's searches that is: of the extremes of each lash's acceleration, behind those of a turn of each guard,
+# and then of how deep the guard of an event would go.
 
 # How a step ended.
 GOES_ON = 0  # the next one is of a span

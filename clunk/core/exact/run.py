@@ -19,25 +19,22 @@ so are the near misses, which give the run's margin: how near it came to another
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import INSTANT, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
+from clunk.core.events import INSTANT, LOCK, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import functionals, moving, rows
 from clunk.core.exact.flows import Flows
-from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
-from clunk.core.exact.step import GRAZING, origin_of_acceleration, take_step, widen_extremes
+from clunk.core.exact.search import conclude, search
+from clunk.core.exact.step import origin_of_acceleration, take_step, widen_extremes
 from clunk.core.exact.workspace import (
+    GRAZING,
     Workspace,
-    begin_guard_search,
     log_of,
     number_of,
-    push_search,
-    scale_of,
     set_field,
     set_field_of,
     set_number_of,
     step_queue,
     system_at,
     system_of,
-    turn_search,
 )
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
@@ -66,14 +63,13 @@ _NON_FINITE = int(Status.NON_FINITE)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 MOST = 0.25  # larger margins are not looked for, and written as this
-_MOST_SPANS = 1000.0  # the shortest ones, of the search for a depth: a guard that has not turned back then never will
 
 
 @inlined_part
 def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     """Put a run of a driveline into an empty place of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
-    row.driveline, row.status, row.quality, row.stages = driveline, _OK, 0, 0
+    row.driveline, row.status, row.quality, row.stages, row.searches = driveline, _OK, 0, 0, 0
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(lashes_of(system)):
@@ -115,7 +111,6 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
             _begin_phase(space, slot)
             _take_events(space, slot, row.count, entry.written)
     row.time, row.count, row.regime = time, entry.written, regime
-    row.seeks_extremes, row.seeks_turns, row.depth_known = 0, 0, 0
     for k in range(x.size):
         space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
     numbers[rows.ZERO] = rows.zero_of(entry.zero_guard, entry.zero_order)
@@ -167,7 +162,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
                 queue = other if pool.length[other] > pool.length[queue] else queue
             if pool.length[queue] == 0:
                 break
-        if queue < queues.extremes:
+        if queue < queues.search:
             count, group = take(pool, queue, space.numbers, space.read), queue % space.system.leaders.size
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
             if space.mixed != 0:
@@ -178,17 +173,12 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
                 short = space.flows.modal[0, flow] == 0
             take_step(space, group, short, count)
         else:
-            count, sought = take(pool, queue, space.searches, space.searches.shape[1]), EXTREMES
-            first = queues.extremes
-            if queue >= queues.depth:
-                sought, first = DEPTH, queues.depth
-            elif queue >= queues.turn:
-                sought, first = TURN, queues.turn
-            flow, functional = divmod(queue - first, space.flows.watch.shape[2])
+            count = take(pool, queue, space.searches, space.searches.shape[1])
+            flow, functional = divmod(queue - queues.search, space.flows.watch.shape[2])
             if space.mixed != 0:
                 functionals.note_drivelines(space, flow, space.searches_each)
                 functionals.gather_functional(space, flow, functional)
-            conclude(space, sought, queue, count, search(space, sought, flow, functional, count))
+            conclude(space, queue, count, search(space, flow, functional, count))
         for k in range(pool.length[queues.follow]):
             _follow(space, pool.waiting[queues.follow, k])
         pool.length[queues.follow] = 0
@@ -215,37 +205,11 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
 
 @inlined_part
 def _follow(space: Workspace, slot: int) -> None:
-    """Send a run on: search something within its step, end its phase, or take the next step."""
+    """Send a run on: end its phase, or take the next step."""
     row = space.runs[slot]
-    numbers, each, queues = space.numbers[slot, space.behind :], space.searches_each, space.queues
-    now = row.time + numbers[rows.ELAPSED]
-    if row.seeks_extremes != 0:
-        lash = vectors.first_of(row.seeks_extremes)
-        row.seeks_extremes &= row.seeks_extremes - 1
-        wanted = space.searches[slot * each + rows.EXTREMES_SEARCH + lash, space.behind :]
-        wanted[rows.TOP] = number_of(space, slot, rows.WINDOW_MAX, lash)
-        wanted[rows.BOTTOM] = number_of(space, slot, rows.WINDOW_MIN, lash)
-        functional = lash * space.system.functionals_per_lash + ACCELERATION
-        push_search(space, queues.extremes, slot, rows.EXTREMES_SEARCH + lash, functional)
-    elif row.seeks_turns != 0:
-        guard = vectors.first_of(row.seeks_turns)
-        row.seeks_turns &= row.seeks_turns - 1
-        turn = turn_search(space, guard)
-        wanted = space.searches[slot * each + turn, space.behind :]
-        margin = number_of(space, slot, rows.MARGIN, lash_of(space.system, row.regime, guard))
-        wanted[rows.TOP], wanted[rows.BOTTOM] = abs(margin) * scale_of(space, slot, guard), np.inf
-        push_search(space, queues.turn, slot, turn, space.system.guards[row.regime, guard].functional)
-    elif row.ended == rows.BY_EVENT:
-        scale = scale_of(space, slot, row.guard)
-        if row.depth_known == 0 and scale > 0.0 and _label_hangs_on_depth(space, slot, now):
-            functional = space.system.guards[row.regime, row.guard].functional
-            begin_guard_search(space, slot, rows.DEPTH_SEARCH, row.guard, _MOST_SPANS)
-            wanted = space.searches[slot * each + rows.DEPTH_SEARCH, space.behind :]
-            margin = number_of(space, slot, rows.MARGIN, lash_of(space.system, row.regime, row.guard))
-            wanted[rows.TOP] = abs(margin) * scale
-            push_search(space, queues.depth, slot, rows.DEPTH_SEARCH, functional)
-        else:
-            _switch(space, slot)
+    now = row.time + space.numbers[slot, space.behind + rows.ELAPSED]
+    if row.ended == rows.BY_EVENT:
+        _switch(space, slot)
     elif row.ended == rows.SETTLED:
         row.quality |= QUALITY_COMPLETE
         _end(space, slot, _OK, now)
@@ -292,19 +256,6 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
         least = min(contact.side * torque, contact.side * torque_after) / scale
         if falls and rises and 0.0 <= least < abs(number_of(space, slot, rows.MARGIN, lash)):
             set_number_of(space, slot, rows.MARGIN, lash, least)
-
-
-@inlined_part
-def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
-    """Whether a label hangs on how deep the guard goes that ended a run's phase."""
-    system, row = system_of(space, slot), space.runs[slot]
-    guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
-    play = space.plays[slot, lash]
-    if guard.event_kind == TOUCH:  # a primary one
-        return bool(guard.side != play.last_side or play.from_sticking != 0)
-    if guard.event_kind == OPENING:  # by force: it counts after a contact that held
-        return bool(play.from_sticking != 0)
-    return bool(guard.event_kind == SEPARATION and now - play.contact_began > system.sticking_time[lash])
 
 
 @inlined_part

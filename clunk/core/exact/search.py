@@ -1,10 +1,8 @@
 """What is searched for within a step: extremes of the acceleration, the lowest turn of a guard, how deep one would go.
 
-Located, not sampled: a span is passed in which there can be nothing, since the functional is monotone, or cannot exceed
-what is known. Elsewhere the shortest span is expanded into its Taylor series and searched.
-
-TOP and BOTTOM are the extremes that are known. A turn counts below TOP, and is then both. A depth, of a guard that
-falls, is BOTTOM, and need not be known beyond TOP.
+All are turning points, of a functional of sign and shift: the highest above TOP and the lowest below BOTTOM. Located,
+not sampled: a span is passed in which there can be none, since the functional is monotone, or cannot exceed what is
+known. Elsewhere the shortest span is expanded into its Taylor series and searched.
 """
 
 from typing import NamedTuple
@@ -14,8 +12,8 @@ import numpy.typing as npt
 
 from clunk.core.exact import curves, functionals, moving, polynomial, rows, taylor
 from clunk.core.exact.flows import TERMS
-from clunk.core.exact.step import GRAZING
 from clunk.core.exact.workspace import (
+    GRAZING,
     Workspace,
     field,
     is_still,
@@ -25,18 +23,15 @@ from clunk.core.exact.workspace import (
     set_number_of,
     shortest_span,
     size_of,
-    turn_search,
 )
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import lash_of
+from clunk.core.regimes import lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
 
 FloatArray = npt.NDArray[np.float64]
-
-EXTREMES, TURN, DEPTH = range(3)
 
 
 class _Known(NamedTuple):
@@ -46,45 +41,33 @@ class _Known(NamedTuple):
     top: Vector
     bottom: Vector
     idle: Vector  # the time left before a turn counts
+    once: int  # the lanes that end with the first turn
 
 
 @part
-def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
+def search(space: Workspace, flow: int, f: int, count: int) -> int:
     """Take one span of the `count` searches that have been taken; return the lanes of those that are through.
 
-    sought : EXTREMES, TURN or DEPTH
     flow, f : the flow, and the functional searched in
     """
     still, modal, shortest = is_still(space, flow), space.flows.modal[0, flow] != 0, shortest_span(space, flow)
-    zero, present = vectors.splat(0.0), (1 << count) - 1
+    zero, present, until = vectors.splat(0.0), (1 << count) - 1, field(space, rows.UNTIL)
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
     origin = curves.load_origin(space.pool.work, space.behind + rows.AT)
     jerk, sixth, _ = functionals.bounds(space, flow, f)
-    seen = functionals.evaluate(space, flow, f, jerk, sixth)
-    value = sign * (seen.value + origin.value) + shift
-    slope, curvature = sign * (seen.slope + origin.slope), sign * (seen.curvature + origin.curvature)
-    curve = curves.Curve(value, slope, curvature, jerk + vectors.magnitude(origin.jerk), sixth)
-    top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), 0
-    if sought == DEPTH:
-        bottom = -value
-        done = bottom >= top
-    elif sought == EXTREMES:
-        top, bottom = vectors.larger(top, value), vectors.smaller(bottom, value)
-    known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS))
+    curve = curves.as_guard(functionals.evaluate(space, flow, f, jerk, sixth), origin, sign, shift)
+    top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), curve.value <= until
+    known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS), until > -np.inf)
 
-    h, k, near = _longest_empty(known, sought, shortest, space.flows.propagator.shape[2], modal)
+    h, k, near = _longest_empty(known, shortest, space.flows.propagator.shape[2], modal)
     near &= present & ~done
     if near != 0:
         functionals.expand(space, flow, f, sign, shift, origin)
-        top, bottom, through = _search_series(space, known, sought, shortest, time_left, near)
+        top, bottom, through = _search_series(space, known, shortest, time_left, near)
         done |= through
 
-    if sought == DEPTH:  # whose spans are counted
-        time_left -= 1.0
-        done |= time_left <= 0.0
-    else:
-        done |= time_left <= h
-        time_left -= h
+    done |= time_left <= h
+    time_left -= h
     done &= present
     if done != present:
         if modal:
@@ -100,53 +83,48 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
     set_field(space, rows.TIME_LEFT, time_left)
     set_field(space, rows.TOP, top)
     set_field(space, rows.BOTTOM, bottom)
-    put_back(space.pool, space.searches, space.behind + (rows.AT if still else rows.AT_JERK), present & ~done)
+    put_back(space.pool, space.searches, space.behind + (rows.BY_SIGN if still else rows.AT_JERK), present & ~done)
     return int(done)
 
 
 @part
-def _longest_empty(known: _Known, sought: int, shortest: Vector, spans: int, modes: bool) -> tuple[Vector, Vector, int]:
+def _longest_empty(known: _Known, shortest: Vector, spans: int, modes: bool) -> tuple[Vector, Vector, int]:
     """The longest span of the ladder with nothing to be found, its number, and the lanes where there is none.
 
     Without modes there is but the shortest span.
     """
     h, k = shortest, vectors.splat(0.0)
-    near = ~_is_empty(known, sought, h)
+    near = ~_is_empty(known, h)
     if modes:
         step = spans // 4
         while step > 0:
             longer = h * float(1 << step)
-            passes = _is_empty(known, sought, longer)
+            passes = _is_empty(known, longer)
             h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * step, k)
             step //= 2
         longer = h * 1.5
-        passes = _is_empty(known, sought, longer) & ~near
+        passes = _is_empty(known, longer) & ~near
         h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k)
         h, k = vectors.choose(near, shortest, h), vectors.choose(near, 0.0, k)
     return h, k, near
 
 
 @part
-def _is_empty(known: _Known, sought: int, h: Vector) -> int:
+def _is_empty(known: _Known, h: Vector) -> int:
     """Where there is nothing to be found within times h; if so, not within shorter ones either."""
     value, slope, curvature, jerk, _ = known.curve
-    if sought == DEPTH:
-        return int(-slope > h * (curvature + h * (0.5 * jerk)))
     zero = vectors.splat(0.0)
     off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (jerk * curves.A_SIXTH))  # over h
     against = vectors.choose(slope > 0.0, -curvature, curvature)
     monotone = h * (against + h * (0.5 * jerk)) < vectors.magnitude(slope)
-    if sought == TURN:
-        above = known.top - value + h * (vectors.larger(-slope, zero) + off_tangent) <= 0.0
-        return int(above | monotone | (curvature + h * jerk < 0.0) | (h <= known.idle))
     within = value - known.top + h * (vectors.larger(slope, zero) + off_tangent) <= 0.0
     within &= known.bottom - value + h * (vectors.larger(-slope, zero) + off_tangent) <= 0.0
-    return int(within | monotone)
+    return int(within | monotone | (h <= known.idle))
 
 
 @part
 def _search_series(
-    space: Workspace, known: _Known, sought: int, shortest: Vector, time_left: Vector, near: int
+    space: Workspace, known: _Known, shortest: Vector, time_left: Vector, near: int
 ) -> tuple[Vector, Vector, int]:
     """Search the shortest span, whose series is `space.series`, in some lanes.
 
@@ -155,40 +133,33 @@ def _search_series(
     top, bottom : Vector
         What is known now.
     done : int
-        The lanes whose depth is known.
+        The lanes that end with the first turn, and have found it.
     """
-    c, top, bottom, done, zero = space.series, known.top, known.bottom, 0, vectors.splat(0.0)
-    falls, length = vectors.load(c, 1) < 0.0, zero + 1.0
-    if sought == DEPTH:
-        done = near & ~falls
-        near &= falls
-    else:
-        length = vectors.smaller(time_left / shortest, length)
+    c, top, bottom = space.series, known.top, known.bottom
+    falls, length = vectors.load(c, 1) < 0.0, vectors.smaller(time_left / shortest, vectors.splat(1.0))
+    done = near & known.once & ~falls
+    near &= ~done
     turns, straight, s = taylor.turning(c, space.moved, length)
-    value, unclear = taylor.value(c, s), near & ~turns & ~straight
-    turns &= near
-    if sought == TURN:
-        turns &= falls & (value < top) & (time_left - s * shortest <= field(space, rows.COUNTS))
-        top, bottom = vectors.choose(turns, value, top), vectors.choose(turns, value, bottom)
-    elif sought == DEPTH:
-        bottom = vectors.choose(turns, -value, bottom)
-        done |= turns
-    else:
-        top = vectors.choose(turns, vectors.larger(top, value), top)
-        bottom = vectors.choose(turns, vectors.smaller(bottom, value), bottom)
+    value, _, _ = taylor.derivatives(c, s)
+    unclear = near & ~turns & ~straight
+    turns &= near & (time_left - s * shortest <= field(space, rows.COUNTS))
+    top = vectors.choose(turns & ~falls, vectors.larger(value, top), top)
+    bottom = vectors.choose(turns & falls, vectors.smaller(value, bottom), bottom)
+    done |= turns & known.once
     if unclear != 0:
         notes = space.notes
         vectors.store(notes, 0, (top, bottom, length, known.idle / shortest))
-        done |= _search_one_by_one(space, sought, unclear)
+        done |= _search_one_by_one(space, unclear, known.once)
         top, bottom = vectors.load(notes, 0), vectors.load(notes, 1)
     return top, bottom, done
 
 
 @part
-def _search_one_by_one(space: Workspace, sought: int, mask: int) -> int:
+def _search_one_by_one(space: Workspace, mask: int, once: int) -> int:
     """Search all turning points of some lanes' series; TOP and BOTTOM are in the first two notes.
 
-    The third one says up to where, the fourth from where on a turn counts. Returns the lanes whose depth is known.
+    The third one says up to where, the fourth from where on a turn counts. Returns the lanes that end with the first
+    turn, and have found it.
     """
     notes, c, points, done = space.notes, space.alone[0], space.alone[1], 0
     while mask != 0:
@@ -199,50 +170,46 @@ def _search_one_by_one(space: Workspace, sought: int, mask: int) -> int:
         falls = c[1] < 0.0
         for k in range(polynomial.turning_points(c, notes[2, lane], points, space.ladder)):
             value = polynomial.value_of(c, TERMS, points[k])
-            if sought == DEPTH:
-                notes[1, lane] = -value
-                done |= 1 << lane
-                break
-            if sought == EXTREMES:
-                notes[0, lane], notes[1, lane] = max(notes[0, lane], value), min(notes[1, lane], value)
-            elif falls and value < notes[0, lane] and points[k] >= notes[3, lane]:
-                notes[0, lane], notes[1, lane] = value, value
+            if points[k] >= notes[3, lane]:
+                if falls:
+                    notes[1, lane] = min(notes[1, lane], value)
+                else:
+                    notes[0, lane] = max(notes[0, lane], value)
+                if once >> lane & 1:
+                    done |= 1 << lane
+                    break
             falls = not falls
     return done
 
 
 @part
-def conclude(space: Workspace, sought: int, queue: int, count: int, done: int) -> None:
+def conclude(space: Workspace, queue: int, count: int, done: int) -> None:
     """Append those that are not through to their queue again, and take over what the others have found."""
     push_all(space.pool, queue, (1 << count) - 1 & ~done)
+    lashes = lashes_of(space.system)
     while done != 0:
         lane = vectors.first_of(done)
         done &= done - 1
         item = space.pool.items[lane]
-        slot = item // space.searches_each
+        slot, search = item // space.searches_each, item % space.searches_each
         run = space.runs[slot]
         top, bottom = space.pool.work[space.behind + rows.TOP, lane], space.pool.work[space.behind + rows.BOTTOM, lane]
-        if sought == TURN:
-            guard = item - slot * space.searches_each - turn_search(space, 0)
-            lash = lash_of(space.system, run.regime, guard)
-            nearest = bottom / scale_of(space, slot, guard)
-            if nearest < abs(number_of(space, slot, rows.MARGIN, lash)):
-                set_number_of(space, slot, rows.MARGIN, lash, max(nearest, 0.0))
-                if nearest <= GRAZING:
-                    run.quality |= QUALITY_GRAZING
-        elif sought == DEPTH:
-            scale, lash = scale_of(space, slot, run.guard), lash_of(space.system, run.regime, run.guard)
-            if max(bottom, 0.0) < abs(number_of(space, slot, rows.MARGIN, lash)) * scale:
-                set_number_of(space, slot, rows.MARGIN, lash, -max(bottom, 0.0) / scale)
-            run.depth_known = 1
+        if search < lashes:
+            set_number_of(space, slot, rows.WINDOW_MAX, search, top)
+            set_number_of(space, slot, rows.WINDOW_MIN, search, bottom)
+            largest = max(number_of(space, slot, rows.PHASE_MAX, search), top)
+            smallest = min(number_of(space, slot, rows.PHASE_MIN, search), bottom)
+            set_number_of(space, slot, rows.PHASE_MAX, search, largest)
+            set_number_of(space, slot, rows.PHASE_MIN, search, smallest)
         else:
-            lash = item - slot * space.searches_each - rows.EXTREMES_SEARCH
-            set_number_of(space, slot, rows.WINDOW_MAX, lash, top)
-            set_number_of(space, slot, rows.WINDOW_MIN, lash, bottom)
-            largest, smallest = (
-                number_of(space, slot, rows.PHASE_MAX, lash),
-                number_of(space, slot, rows.PHASE_MIN, lash),
-            )
-            set_number_of(space, slot, rows.PHASE_MAX, lash, max(largest, top))
-            set_number_of(space, slot, rows.PHASE_MIN, lash, min(smallest, bottom))
-        push(space.pool, space.queues.follow, slot)
+            deep = search == space.searches_each - 1
+            guard = run.guard if deep else search - lashes
+            lash, scale = lash_of(space.system, run.regime, guard), scale_of(space, slot, guard)
+            if abs(bottom) < abs(number_of(space, slot, rows.MARGIN, lash)) * scale:
+                margin = (min(bottom, 0.0) if deep else max(bottom, 0.0)) / scale
+                set_number_of(space, slot, rows.MARGIN, lash, margin)
+                if not deep and margin <= GRAZING:
+                    run.quality |= QUALITY_GRAZING
+        run.searches -= 1
+        if run.searches == 0:
+            push(space.pool, space.queues.follow, slot)

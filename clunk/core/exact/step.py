@@ -18,25 +18,25 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import INSTANT
+from clunk.core.events import INSTANT, OPENING, SEPARATION, TOUCH
 from clunk.core.exact import curves, functionals, moving, polynomial, rows, taylor
 from clunk.core.exact.curves import load_curve
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.workspace import (
+    GRAZING,
     OF_GUARD,
     OF_OUTPUT,
+    Search,
     Workspace,
-    begin_acceleration_search,
-    begin_guard_search,
+    begin_searches,
     field,
     field_of,
     is_still,
-    number_of,
     set_field,
     set_field_of,
     shortest_span,
     size_of,
-    turn_search,
+    system_of,
 )
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
@@ -48,11 +48,12 @@ from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
 
-GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
+_LONGEST_FALL = 2.0**16  # of the shortest spans: a guard that has not turned back then never will
 
-# Rows of `outputs`: the functional less its origin; its sway; the origin's value and first three derivatives.
-_AWAY, _SWAY, _ORIGIN = 0, 5, 6
+# Rows of `outputs`: the functional less its origin; its sway; the origin's value and first three derivatives at the
+# step's beginning, and where it moves also at its end.
+_AWAY, _SWAY, _ORIGIN, _ORIGIN_MOVED = 0, 5, 6, 10
 # Rows of `guards`: the guard at the step's beginning and at its end; its least value and the sixth derivative's
 # remainder in between, as `curves.between` has them.
 _START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
@@ -66,8 +67,7 @@ class _Lanes(NamedTuple):
     ends: int  # the end of the run is reached, if nothing happens before
     close: int  # not even the shortest span will probably pass next
     grazing: int  # a guard all but turned negative
-    happened: int  # an event, whose guard is in the first of the notes
-    deep: int  # whose guard goes certainly deeper than the margin is
+    happened: int  # an event
 
 
 @inlined_part
@@ -124,44 +124,37 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     # that no event depends on where that end is.
     failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
-    extremes = _watch_accelerations(space, flow, h, advancing)
-    misses = _find_misses(space, regime, event, h, advancing)
+    searching = _watch_accelerations(space, flow, h, advancing)
+    searching |= _find_misses(space, regime, event, h, advancing)
     set_field(space, rows.ZERO, zero)
     set_field(space, rows.TRY, zero + np.inf)
-
-    happened, deep = (event >= 0.0) & advancing, 0
-    if happened != 0:
-        deep = _certainly_deep(space, regime, event)
-        vectors.store(space.notes, 0, event)
+    happened = (event >= 0.0) & advancing
     arrived = ends & kinks & ~lost
     if (happened | arrived) != 0:
         moving.to_states(space, flow, happened | arrived)
     put_back(pool, space.numbers, space.behind + rows.changing(lashes_of(system)), advancing)
+    if happened != 0:
+        searching |= _find_depths(space, regime, event, happened)
     _set_next_try(space, _NEXT_TRY * h, failed)
 
-    special = (settled | lost | ends | grazing | happened | extremes | misses) & present
+    special = (settled | lost | ends | grazing | happened | searching) & present
     if flows.modal[0, flow] != 0:
         push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
         push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
     else:
         push_all(pool, space.queues.short + group, advancing & ~special)
-    push_all(pool, space.queues.follow, special)
-    _note_outcomes(space, regime, special, _Lanes(settled, lost, ends, close, grazing, happened, deep))
+    push_all(pool, space.queues.follow, special & ~searching)
+    _note_outcomes(space, special, event, _Lanes(settled, lost, ends, close, grazing, happened))
 
 
 @inlined_part
-def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -> None:
-    """Write to some runs how the step ended for them, and what is to be searched for within it."""
+def _note_outcomes(space: Workspace, special: int, event: Vector, lanes: _Lanes) -> None:
+    """Write to some runs how the step ended for them, and by which guard."""
+    vectors.store(space.notes, 0, event)
     while special != 0:
         lane = vectors.first_of(special)
         special &= special - 1
         run, bit = space.runs[space.pool.items[lane]], 1 << lane
-        run.seeks_extremes, run.seeks_turns = 0, 0
-        for n in range(lashes_of(space.system)):
-            run.seeks_extremes |= (space.seeks_extremes[n] >> lane & 1) << n
-        for n in range(space.system.regimes[regime].watched):
-            run.seeks_turns |= (space.guard_lanes[n] >> lane & 1) << n
-        run.depth_known = lanes.deep >> lane & 1
         if lanes.grazing & bit:
             run.quality |= QUALITY_GRAZING
         if lanes.settled & bit:
@@ -169,7 +162,7 @@ def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -
         elif lanes.lost & bit:
             run.ended = rows.LOST
         elif lanes.happened & bit:
-            run.ended, run.guard = rows.BY_EVENT, int(vectors.number(space.notes, lane))
+            run.ended, run.guard = rows.BY_EVENT, int(space.notes[0, lane])
         else:
             run.ended = rows.AT_END if lanes.ends & bit else (rows.NEARS if lanes.close & bit else rows.GOES_ON)
 
@@ -185,22 +178,28 @@ def _evaluate_guards(space: Workspace, regime: int) -> None:
             jerk, sixth, sway = functionals.bounds(space, flow, f)
             vectors.store(outputs, at + _AWAY, functionals.evaluate(space, flow, f, jerk, sixth))
             vectors.store(outputs, at + _SWAY, sway)
-            _store_origin(space, flow, f, at)
-        vectors.store(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at))
+            _store_origin(space, flow, f, at + _ORIGIN)
+        vectors.store(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at, at + _ORIGIN))
 
 
 @inlined_part
-def _store_origin(space: Workspace, flow: int, f: int, at: int) -> None:
+def _store_origin(space: Workspace, flow: int, f: int, row: int) -> None:
     """Write a functional's origin to `outputs`."""
     origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
-    vectors.store(space.outputs, at + _ORIGIN, origin)
+    vectors.store(space.outputs, row, origin)
 
 
 @inlined_part
-def _guard(space: Workspace, regime: int, n: int, at: int) -> curves.Curve:
-    """Guard n, by the functional that is kept from row `at` on."""
-    away, origin = load_curve(space.outputs, at + _AWAY), curves.load_origin(space.outputs, at + _ORIGIN)
+def _guard(space: Workspace, regime: int, n: int, at: int, origin_at: int) -> curves.Curve:
+    """Guard n, by the functional that is kept from row `at` on, and its origin."""
+    away, origin = load_curve(space.outputs, at + _AWAY), curves.load_origin(space.outputs, origin_at)
     return curves.as_guard(away, origin, _sign(space, regime, n), _shift(space, n))
+
+
+@inlined_part
+def _moved_origin(space: Workspace, flow: int) -> int:
+    """The rows of `outputs` that hold a functional's origin at the step's end."""
+    return _ORIGIN if is_still(space, flow) else _ORIGIN_MOVED
 
 
 @inlined_part
@@ -465,9 +464,9 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
             before = load_curve(outputs, at + _AWAY)
             vectors.store(outputs, at + _AWAY, functionals.evaluate(space, flow, f, before.jerk, before.sixth))
             if not is_still(space, flow):
-                _store_origin(space, flow, f, at)
+                _store_origin(space, flow, f, at + _ORIGIN_MOVED)
         start = load_curve(guards, row + _START)
-        end = curves.with_bounds(_guard(space, regime, n, at), start)
+        end = curves.with_bounds(_guard(space, regime, n, at, at + _moved_origin(space, flow)), start)
         least, _, remainder = curves.between(start, end, h)
         vectors.store(guards, row + _END, end)
         vectors.store(guards, row + _LEAST, least)
@@ -482,7 +481,7 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
 def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int) -> int:
     """See what the accelerations did within a time h, and begin to search their extremes where one may count.
 
-    Returns the lanes in which to search; each lash's are in `seeks_extremes`.
+    Returns the lanes in which to search.
     """
     known, zero, extremes = space.accelerations, vectors.splat(0.0), 0
     for lash in range(lashes_of(space.system)):
@@ -511,21 +510,18 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
         set_field_of(space, rows.SEEN, lash, last)
         set_field_of(space, rows.SEEN_SLOPE, lash, slope)
         set_field_of(space, rows.SEEN_CURVATURE, lash, seen.curvature)
-        space.seeks_extremes[lash] = turns
         extremes |= turns
         if turns != 0:
-            vectors.store(space.notes, 0, h)
-            while turns != 0:
-                lane = vectors.first_of(turns)
-                turns &= turns - 1
-                value, slope_here = known[3 * lash, lane], known[3 * lash + 1, lane]
-                begin_acceleration_search(space, space.pool.items[lane], lash, space.notes[0, lane], value, slope_here)
+            top, bottom = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
+            origin = curves.Origin(origin_value, origin_slope, zero, zero)
+            wanted = Search(h, top, bottom, zero + 1.0, zero, zero + np.inf, zero - np.inf)
+            begin_searches(space, flow, f, lash, turns, wanted, origin)
     return int(extremes)
 
 
 @inlined_part
 def _find_misses(space: Workspace, regime: int, event: Vector, h: Vector, advancing: int) -> int:
-    """Begin to search the lowest turn of guards where one may be a near miss; the lanes of each into `guard_lanes`.
+    """Begin to search the lowest turn of guards where one may be a near miss; return the lanes.
 
     A miss is a turn within the step. Guards that are zero with their slope at the beginning are passed over: there,
     rounding would show one.
@@ -543,35 +539,61 @@ def _find_misses(space: Workspace, regime: int, event: Vector, h: Vector, advanc
         may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
         monotone, bends_down = curves.turns_not(start, end, remainder, h)
         may &= ~monotone & ~bends_down
-        space.guard_lanes[n] = may
         misses |= may
         if may != 0:
-            _begin_turn_searches(space, regime, n, h, elapsed, may)
+            _begin_guard_search(space, regime, n, may, h, elapsed - held_from, False)
     return int(misses)
 
 
 @inlined_part
-def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elapsed: Vector, mask: int) -> None:
-    """Begin to search the lowest turn of guard n within the step, in some lanes."""
-    notes = space.notes
-    vectors.store(notes, 0, (h, elapsed))
-    while mask != 0:
-        lane = vectors.first_of(mask)
-        mask &= mask - 1
-        slot, turn = space.pool.items[lane], turn_search(space, n)
-        begin_guard_search(space, slot, turn, n, notes[0, lane])
-        wanted = space.searches[slot * space.searches_each + turn, space.behind :]
-        wanted[rows.COUNTS] = notes[1, lane] - number_of(space, slot, rows.HELD_FROM, _lash(space, regime, n))
+def _begin_guard_search(
+    space: Workspace, regime: int, n: int, mask: int, time_left: Vector, counts: Vector, deep: bool
+) -> None:
+    """Begin to search the lowest turn of guard n within the step, or how deep it goes behind it, in some lanes."""
+    system, bar, infinite = space.system, _bar(space, regime, n), vectors.splat(np.inf)
+    flow, guard, search = system.regimes[regime].flow, system.guards[regime, n], lashes_of(system) + n
+    row, bottom, until = guard.alike * OF_OUTPUT + _ORIGIN, bar, -infinite
+    if deep:
+        row, bottom, until = guard.alike * OF_OUTPUT + _moved_origin(space, flow), infinite, -bar
+        search = space.searches_each - 1
+    wanted = Search(time_left, infinite, bottom, _sign(space, regime, n), _shift(space, n), counts, until)
+    origin = curves.load_origin(space.outputs, row)
+    begin_searches(space, flow, guard.functional, search, mask, wanted, origin)
 
 
 @inlined_part
-def _certainly_deep(space: Workspace, regime: int, event: Vector) -> int:
-    """Mask of the lanes in which the guard of an event certainly falls deeper than the margin, and does not make it."""
-    deep = 0
+def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) -> int:
+    """Begin to search how deep the guards of events would go, where a label hangs on that; return the lanes.
+
+    Not where the guard certainly falls deeper than the margin, which it does not make then.
+    """
+    flow, depths, infinite = space.system.regimes[regime].flow, 0, vectors.splat(np.inf)
+    longest = _LONGEST_FALL * shortest_span(space, flow)
     for n in range(space.system.regimes[regime].guards):
-        end = load_curve(space.guards, n * OF_GUARD + _END)
-        deep |= (event == float(n)) & (curves.falls_by(end) - _bar(space, regime, n) >= 0.0)
-    return deep
+        end, among = load_curve(space.guards, n * OF_GUARD + _END), happened & (event == float(n))
+        among &= (_scale(space, regime, n) > 0.0) & ~(curves.falls_by(end) - _bar(space, regime, n) >= 0.0)
+        mask = 0
+        while among != 0:
+            lane = vectors.first_of(among)
+            among &= among - 1
+            mask |= int(_label_hangs_on_depth(space, space.pool.items[lane], n)) << lane
+        depths |= mask
+        if mask != 0:
+            _begin_guard_search(space, regime, n, mask, longest, infinite, True)
+    return depths
+
+
+@inlined_part
+def _label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
+    """Whether a label hangs on how deep the guard goes that ended a run's phase."""
+    system, row = system_of(space, slot), space.runs[slot]
+    guard, lash = system.guards[row.regime, n], lash_of(system, row.regime, n)
+    play, now = space.plays[slot, lash], row.time + space.numbers[slot, space.behind + rows.ELAPSED]
+    if guard.event_kind == TOUCH:  # a primary one
+        return bool(guard.side != play.last_side or play.from_sticking != 0)
+    if guard.event_kind == OPENING:  # by force: it counts after a contact that held
+        return bool(play.from_sticking != 0)
+    return bool(guard.event_kind == SEPARATION and now - play.contact_began > system.sticking_time[lash])
 
 
 @inlined_part

@@ -10,23 +10,23 @@ import numpy.typing as npt
 
 from clunk.core.events import EVENT
 from clunk.core.exact import rows
+from clunk.core.exact.curves import Origin
 from clunk.core.exact.flows import LONG, TERMS, Flows
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import put, reference_at, words_of
-from clunk.core.regimes import Each, System, inputs_of, lash_of, lashes_of
+from clunk.core.regimes import Each, System, lash_of, lashes_of
 from clunk.core.runs import Log
-from clunk.core.switching import weigh
 from clunk.core.tables import INPUTS, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
-NOTES = 4
-OF_OUTPUT, OF_GUARD = 10, 12  # rows that a step keeps of a functional, and of a guard
+GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
+OF_OUTPUT, OF_GUARD = 14, 12  # rows that a step keeps of a functional, and of a guard
 
 RUN = np.dtype(
     [
@@ -37,13 +37,11 @@ RUN = np.dtype(
         ("count", np.int64),  # events so far
         ("regime", np.int64),
         ("stages", np.int64),  # changes of stage so far that are not written
-        ("seeks_extremes", np.int64),  # the lashes whose extremes in the last step are yet to be searched for, as bits
-        ("seeks_turns", np.int64),  # the guards whose turns in the last step are yet to be searched for, as bits
+        ("searches", np.int64),  # in its last step that are under way
         ("load", np.int64),  # its row of the loads
         ("piece", np.int64),  # of the load
         ("ended", np.int64),  # how the last step did, see GOES_ON
         ("guard", np.int64),  # the one that ended it, by an event
-        ("depth_known", np.int64),  # whether the depth of that guard is known, or known to be no concern of the margin
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
         ("rolled", np.float64),  # rad, by the first inertia that rolls; the angles of the run are less that
     ],
@@ -69,9 +67,7 @@ class Queues(NamedTuple):
     span: int  # a step of a span
     short: int  # a step of a part of the shortest span
     enter: int  # entering a regime
-    extremes: int  # searching the extremes of a lash's acceleration, after a step
-    turn: int  # searching the lowest turn of a guard, after a step
-    depth: int  # searching how deep a guard would go, after an event
+    search: int  # searching within a step, see `clunk.core.exact.search`
     over: int  # finished runs
     follow: int  # those that have taken a step, or found what they searched, and are to be sent on
 
@@ -89,8 +85,8 @@ class Workspace(NamedTuple):
     pool: Pool
     queues: Queues
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
-    searches: FloatArray  # ((S + 1) (L + G), …)  of each run's searches; the last row is scratch again
-    searches_each: int  # L + G
+    searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each run's searches; the last row is scratch again
+    searches_each: int  # L + G + 1
     behind: int  # where the numbers that `rows` names begin in a row
     inputs_at: int  # and where the inputs do
     kink_at: int  # and whether the load has not come to rest
@@ -108,13 +104,11 @@ class Workspace(NamedTuple):
     # scratch of a step
     outputs: FloatArray  # (G OF_OUTPUT, W)  see clunk.core.exact.step
     guards: FloatArray  # (G OF_GUARD, W)
-    guard_lanes: IntArray  # (G,)
     accelerations: FloatArray  # (3L, W)  of each: its origin's value and slope, and a bound of its sixth derivative
     may_widen: IntArray  # (L,)  lanes in which it can exceed what its window holds
-    seeks_extremes: IntArray  # (L,)  lanes in which it may have had an extreme that counts
     series: FloatArray  # (TERMS, W)
     moved: FloatArray  # (3C, W)
-    notes: FloatArray  # (NOTES, W)  for what is done for a lane alone
+    notes: FloatArray  # (OF_A_SEARCH, W)  for what is done for a lane alone
     offsets: IntArray  # (W,)
     shortest: FloatArray  # (K, W)  the shortest span of each flow
     drivelines: IntArray  # (W,)  of the items that have been taken, if they are mixed
@@ -123,7 +117,6 @@ class Workspace(NamedTuple):
     lane_output_origins: FloatArray  # (4 F I, W)
     lane_state_origins: FloatArray  # (4 I C, W)
     lane_table: FloatArray  # (…, W)  any other
-    origin: FloatArray  # (4,)
     held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
     alone: FloatArray  # (2, TERMS)  a series alone, and its zeros
     ladder: FloatArray  # (TERMS, TERMS)
@@ -143,26 +136,24 @@ def make_workspace(
     loads : (loads, P, PIECE) float64
     """
     size, most = flows.basis.shape[3], system.guards.shape[1]
-    drivelines, count, functionals = flows.watch.shape[:3]
+    drivelines, count = flows.watch.shape[:2]
     mixed = drivelines > 1
     shortest = aligned(count, WIDTH)
     shortest[:] = flows.span[0, :, :1]
-    # in order: span, short, enter, each by group; extremes, turn, depth, each by flow and functional; over; follow
-    groups, searched = system.leaders.size, count * functionals
-    first = 3 * groups
-    over = waiting_queues(system, flows)
-    queues = Queues(0, groups, 2 * groups, first, first + searched, first + 2 * searched, over, over + 1)
+    # in order: span, short, enter, each by group; search by flow and functional; over; follow
+    groups, over = system.leaders.size, waiting_queues(system, flows)
+    queues = Queues(0, groups, 2 * groups, 3 * groups, over, over + 1)
     behind, lashes, driven = size * 3 // 2, len(system.lashes), system.weights.shape[1]
     inputs_at = behind + rows.shift(most, lashes)
     kink_at = inputs_at + driven
-    of_a_run, searches = kink_at + 1, lashes + most
+    of_a_run, searches = kink_at + 1, lashes + most + 1
     read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 or driven > INPUTS else inputs_at + TORQUE_RATE)
     return Workspace(
         system=system,
         systems=np.empty((drivelines, words_of(system)), np.int64),
         flows=flows,
         mixed=int(mixed),
-        pool=make_pool(over + 2, slots, of_a_run),
+        pool=make_pool(over + 2, 2 * slots, of_a_run),  # two guards of a functional may be searched at a time
         queues=queues,
         numbers=aligned(slots + 1, whole(of_a_run)),
         searches=aligned((slots + 1) * searches, whole(behind + rows.OF_A_SEARCH)),
@@ -183,13 +174,11 @@ def make_workspace(
         states=np.empty((slots, states, system.lashes.shape[1])),
         outputs=aligned(most * OF_OUTPUT, WIDTH),
         guards=aligned(most * OF_GUARD, WIDTH),
-        guard_lanes=np.zeros(most, np.int64),
         accelerations=aligned(3 * lashes, WIDTH),
         may_widen=np.zeros(lashes, np.int64),
-        seeks_extremes=np.zeros(lashes, np.int64),
         series=aligned(TERMS, WIDTH),
         moved=aligned(3 * size, WIDTH),
-        notes=aligned(NOTES, WIDTH),
+        notes=aligned(rows.OF_A_SEARCH, WIDTH),
         offsets=np.zeros(WIDTH, np.int64),
         shortest=shortest,
         drivelines=np.zeros(WIDTH, np.int64),
@@ -197,7 +186,6 @@ def make_workspace(
         lane_output_origins=aligned(flows.origin_output[0, 0].size * mixed, WIDTH),
         lane_state_origins=aligned(flows.origin[0, 0].size * mixed, WIDTH),
         lane_table=aligned(max(flows.power[0, 0].size, size * max(size, LONG)) * mixed, WIDTH),
-        origin=np.zeros(4),
         held=np.zeros((lashes, 2)),
         alone=np.zeros((2, TERMS)),
         ladder=np.zeros((TERMS, TERMS)),
@@ -205,8 +193,8 @@ def make_workspace(
 
 
 def waiting_queues(system: System, flows: Flows) -> int:
-    """The number of queues in which runs and searches wait: three for each group, and for each functional of a flow."""
-    return int(3 * (system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2]))
+    """The number of queues in which runs and searches wait: three for each group, one for each functional of a flow."""
+    return int(3 * system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2])
 
 
 @part
@@ -277,12 +265,6 @@ def set_number_of(space: Workspace, slot: int, name: int, lash: int, value: floa
 
 
 @inlined_part
-def turn_search(space: Workspace, guard: int) -> int:
-    """The one of a run's searches that is of a turn of a guard."""
-    return lashes_of(space.system) + guard
-
-
-@inlined_part
 def is_still(space: Workspace, flow: int) -> bool:
     """Whether no origin of a flow moves, whatever the inputs of a run are."""
     return bool(space.flows.steady[0, flow] != 0 and space.system.ramps == 0)
@@ -311,52 +293,39 @@ def step_queue(space: Workspace, regime: int, near: bool) -> int:
     return int((space.queues.short if short else space.queues.span) + row.group)
 
 
-@inlined_part
-def begin_search(space: Workspace, slot: int, search: int, length: float, sign: float, shift: float) -> None:
-    """Begin a search in sign times a functional plus shift, for a time `length`.
+class Search(NamedTuple):
+    """The numbers of searches to be begun, in lanes and the order of `rows`, but for the origin's."""
 
-    It begins at the state in the run's row: before `put_back` the beginning of the step, after it its end. The
-    functional's origin is `space.origin`.
-    """
-    wanted = space.searches[slot * space.searches_each + search]
-    for k in range(space.behind):
-        wanted[k] = space.numbers[slot, k]
-    wanted = wanted[space.behind :]
-    wanted[rows.TIME_LEFT], wanted[rows.BY_SIGN], wanted[rows.BY_SHIFT] = length, sign, shift
-    for k in range(4):
-        wanted[rows.AT + k] = space.origin[k]
-    wanted[rows.COUNTS] = np.inf
+    time_left: Vector
+    top: Vector
+    bottom: Vector
+    sign: Vector
+    shift: Vector
+    counts: Vector
+    until: Vector
 
 
-@inlined_part
-def begin_guard_search(space: Workspace, slot: int, search: int, guard: int, length: float) -> None:
-    """Begin a search in a guard of a run, for a time `length`."""
-    run = space.runs[slot]
-    row, flow = space.system.guards[run.regime, guard], space.system.regimes[run.regime].flow
-    output = space.flows.origin_output[run.driveline, flow]
-    numbers, origin = space.numbers[slot, space.behind :], space.origin
-    inputs, elapsed = space.numbers[slot, space.inputs_at : space.kink_at], numbers[rows.ELAPSED]
-    for order in range(4):
-        origin[order] = weigh(output[order, row.functional], inputs, inputs_of(space.system))
-    value, slope, curvature, jerk = origin[0], origin[1], origin[2], origin[3]
-    origin[0] = value + elapsed * (slope + 0.5 * elapsed * (curvature + elapsed / 3.0 * jerk))
-    origin[1] = slope + elapsed * (curvature + 0.5 * elapsed * jerk)
-    origin[2] = curvature + elapsed * jerk
-    begin_search(space, slot, search, length, row.sign, numbers[rows.shift(guard, lashes_of(space.system))])
-
-
-@inlined_part
-def begin_acceleration_search(
-    space: Workspace, slot: int, lash: int, length: float, value: float, slope: float
+@part
+def begin_searches(
+    space: Workspace, flow: int, functional: int, search: int, mask: int, wanted: Search, origin: Origin
 ) -> None:
-    """Begin to search the extremes of a lash's acceleration, whose origin has a value and a slope."""
-    space.origin[0], space.origin[1], space.origin[2], space.origin[3] = value, slope, 0.0, 0.0
-    begin_search(space, slot, rows.EXTREMES_SEARCH + lash, length, 1.0, 0.0)
+    """Begin a search in a functional in some lanes, and append it to its queue.
 
+    It begins at the state in the run's row: before `put_back` the beginning of the step, after it its end.
 
-@inlined_part
-def push_search(space: Workspace, first: int, slot: int, search: int, functional: int) -> None:
-    """Append a run's search in a functional to its queue."""
-    flow = space.system.regimes[space.runs[slot].regime].flow
-    queue = first + flow * space.flows.watch.shape[2] + functional
-    push(space.pool, queue, slot * space.searches_each + search)
+    search : which of a run's searches that is
+    """
+    queue = space.queues.search + flow * space.flows.watch.shape[2] + functional
+    vectors.store(space.notes, 0, wanted)
+    vectors.store(space.notes, rows.AT, origin)
+    while mask != 0:
+        lane = vectors.first_of(mask)
+        mask &= mask - 1
+        slot = space.pool.items[lane]
+        item = slot * space.searches_each + search
+        for k in range(space.behind):
+            space.searches[item, k] = space.numbers[slot, k]
+        for k in range(rows.OF_A_SEARCH):
+            space.searches[item, space.behind + k] = space.notes[k, lane]
+        space.runs[slot].searches += 1
+        push(space.pool, queue, item)
