@@ -252,20 +252,6 @@ def _passes(guards: FloatArray, first: int, stride: int, count: int, h: Vector, 
 
 
 @inlined_part
-def falls_by(guard: Curve) -> Vector:
-    """How far at least a guard will go on falling before it turns back.
-
-    0 if it rises. NaN or -inf where that is so far that rounding hides it.
-
-    By what bounds its third derivative, it falls for a time at least. Nearly all of that is looked at, so that rounding
-    does not matter.
-    """
-    fall, bend = vectors.larger(-guard.slope, vectors.splat(0.0)), guard.curvature
-    h = 1.8 * fall / (bend + vectors.root(fused(bend, bend, 2.0 * guard.jerk * fall)))
-    return h * (fall - h * fused(guard.jerk * A_SIXTH, h, 0.5 * bend))
-
-
-@inlined_part
 def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector]:
     """What a function does within a time h, by its value, slope and curvature at both ends.
 

@@ -563,16 +563,11 @@ def _begin_guard_search(
 
 @inlined_part
 def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) -> int:
-    """Begin to search how deep the guards of events would go, where a label hangs on that; return the lanes.
-
-    Not where the guard certainly falls deeper than the margin, which it does not make then.
-    """
+    """Begin to search how deep the guards of events would go, where a label hangs on that; return the lanes."""
     flow, depths, infinite = space.system.regimes[regime].flow, 0, vectors.splat(np.inf)
     longest = _LONGEST_FALL * shortest_span(space, flow)
     for n in range(space.system.regimes[regime].guards):
-        end, among = load_curve(space.guards, n * OF_GUARD + _END), happened & (event == float(n))
-        among &= (_scale(space, regime, n) > 0.0) & ~(curves.falls_by(end) - _bar(space, regime, n) >= 0.0)
-        mask = 0
+        among, mask = happened & (event == float(n)) & (_scale(space, regime, n) > 0.0), 0
         while among != 0:
             lane = vectors.first_of(among)
             among &= among - 1

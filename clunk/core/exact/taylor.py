@@ -113,15 +113,6 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
 
 
 @part
-def value(c: FloatArray, s: Vector) -> Vector:
-    """The first of `derivatives`."""
-    even, odd, square = vectors.splat(0.0), vectors.splat(0.0), s * s
-    for k in range(TERMS // 2 - 1, -1, -1):
-        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
-    return fused(s, odd, even)
-
-
-@part
 def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int, Vector]:
     """The turning point of a series that has but one.
 
