@@ -29,8 +29,8 @@ OPEN, CLOSED = 0, 1
 
 
 @compiled
-def move(power, generator, modes, parts, work, size, room):
-    moving.move(power, generator, modes, vectors.load(parts, 0), work, size, room)
+def move(generator, modes, parts, work, size, room):
+    moving.move(generator, modes, vectors.load(parts, 0), work, size, room)
 
 
 @compiled
@@ -46,8 +46,7 @@ def jump(propagated, work, size):
 @compiled
 def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
-    none = vectors.splat(0.0)
-    seen = curves.evaluate(watch, work, size, none, none)
+    seen, _ = curves.evaluate(watch, work, size, False)
     functionals, driven = output.shape[1:]
     origin = curves.origin(output, f, functionals, inputs, 0, driven, steady, True, vectors.load(times, 0))
     vectors.store(results, 0, seen.value + origin.value)
@@ -57,7 +56,8 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
 
 @compiled
 def bound(watch, work, size, results):
-    vectors.store(results, 0, curves.bounds(watch, work, size))
+    seen, sway = curves.evaluate(watch, work, size, True)
+    vectors.store(results, 0, (seen.jerk, seen.sixth, sway))
 
 
 @compiled
@@ -80,11 +80,6 @@ def find_between(ends, h, results):
     vectors.store(results, 0, least)
     vectors.store(results, 1, greatest)
     return curves.turns_not(start, end, parts, length)
-
-
-@compiled
-def find_fall(guard, results):
-    vectors.store(results, 0, curves.falls_by(curves.load_curve(guard, 0)))
 
 
 @compiled
@@ -225,7 +220,7 @@ class Flow:
         return work
 
     def move(self, work, parts):
-        move(self.power, self.generator, self.is_modal, parts, work, self.count, np.zeros((2 * self.count, WIDTH)))
+        move(self.generator, self.is_modal, parts, work, self.count, np.zeros((2 * self.count, WIDTH)))
 
     def jump(self, work, k):
         """Each lane by another span."""
@@ -562,30 +557,3 @@ def test_a_turning_point_is_a_zero_of_the_slope():
                 assert exact == pytest.approx([results[0, lane]], rel=1e-10)
     assert there > 120
     assert claimed > 0.8 * there
-
-
-def test_a_guard_falls_by_no_less_than_it_is_said_to():
-    """Of cubics, f = -fall t + bend t²/2 + share jerk t³/6, whose jerk is bounded by `jerk`."""
-    random = np.random.default_rng(5)
-    for share in [1.0, 0.9, 0.3, -1.0] * 40:
-        fall, bend, jerk = 10.0 ** random.uniform(-2.0, 2.0, (3, WIDTH))
-        bend *= random.choice([-1.0, 1.0], WIDTH)
-        results = np.zeros((1, WIDTH))
-        find_fall(np.array([0.0 * fall, -fall, bend, jerk, jerk]), results)
-        for a, b, c, bound in zip(-fall, bend / 2.0, share * jerk / 6.0, results[0], strict=True):
-            root = b**2 - 3.0 * a * c  # where the slope a + 2 b t + 3 c t² turns positive
-            turns = -a / (b + np.sqrt(root)) if root >= 0.0 else np.inf
-            depth = -turns * (a + turns * (b + turns * c)) if 0.0 < turns < np.inf else np.inf
-            assert 0.0 < bound <= depth * (1.0 + 1e-12)
-            if share == 1.0:  # 1 % is lost without a third derivative, and 3 % with little else
-                assert bound > 0.97 * depth
-
-
-def test_a_guard_that_rises_falls_by_nothing_and_one_that_nothing_holds_by_what_is_not_known():
-    guard, results = np.zeros((5, WIDTH)), np.zeros((1, WIDTH))
-    guard[1], guard[2], guard[3] = 1e-9, 1.0, 1.0
-    find_fall(guard, results)
-    assert np.all(results == 0.0)
-    guard[1], guard[2], guard[3] = -1.0, -1.0, 0.0
-    find_fall(guard, results)
-    assert not np.any(results < np.inf)

@@ -61,13 +61,14 @@ def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
 
 
 @inlined_part
-def evaluate(watch: Table, work: FloatArray, size: int, jerk: Vector, sixth: Vector) -> Curve:
-    """A functional less its origin, with the bounds that are known of it.
+def evaluate(watch: Table, work: FloatArray, size: int, bounded: bool) -> tuple[Curve, Vector]:
+    """A functional less its origin, and a bound of its value from now on.
 
     size : of the coordinates
+    bounded : whether the bounds are asked for; else they are zero
     """
     zero = vectors.splat(0.0)
-    value, slope, curvature = zero, zero, zero
+    value, slope, curvature, jerk, sixth, sway = zero, zero, zero, zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             p, at = begin + k, begin // ROW * WATCHED + k
@@ -75,21 +76,12 @@ def evaluate(watch: Table, work: FloatArray, size: int, jerk: Vector, sixth: Vec
             value += _pair(watch, at + VALUE, one, other)
             slope += _pair(watch, at + SLOPE, one, other)
             curvature += _pair(watch, at + CURVATURE, one, other)
-    return Curve(value, slope, curvature, jerk, sixth)
-
-
-@inlined_part
-def bounds(watch: Table, work: FloatArray, size: int) -> tuple[Vector, Vector, Vector]:
-    """What bounds from now on a functional's third and sixth derivatives, and its value less its origin."""
-    zero = vectors.splat(0.0)
-    jerk, sixth, sway = zero, zero, zero
-    for begin in range(0, size, ROW):
-        for k in range(BLOCK):
-            amplitude, at = vectors.load(work, size + begin // 2 + k), begin // ROW * WATCHED + k
-            jerk = fused(amplitude, vectors.number(watch, at + JERK), jerk)
-            sixth = fused(amplitude, vectors.number(watch, at + SIXTH), sixth)
-            sway = fused(amplitude, vectors.number(watch, at + SWAY), sway)
-    return jerk, sixth, sway
+            if bounded:
+                amplitude = vectors.load(work, size + begin // 2 + k)
+                jerk = fused(amplitude, vectors.number(watch, at + JERK), jerk)
+                sixth = fused(amplitude, vectors.number(watch, at + SIXTH), sixth)
+                sway = fused(amplitude, vectors.number(watch, at + SWAY), sway)
+    return Curve(value, slope, curvature, jerk, sixth), sway
 
 
 @inlined_part
@@ -106,15 +98,6 @@ def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int
         total = fused(vectors.load(inputs, at + TORQUE_RATE), last, total)
     for k in range(INPUTS, driven):
         total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
-    return total
-
-
-@inlined_part
-def weighed_drift(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int) -> Vector:
-    """`weighed`, each product rounded: the slopes and curvatures of what drifts."""
-    total = vectors.load(inputs, at) * vectors.number(weights, first)
-    for k in range(1, driven):
-        total = total + vectors.load(inputs, at + k) * vectors.number(weights, first + k * stride)
     return total
 
 
@@ -141,20 +124,13 @@ def origin(
     value = weighed(inputs, at, output, first, 1, driven, ramps)
     slope = curvature = jerk = vectors.splat(0.0)
     if not still:
-        slope = weighed_drift(inputs, at, output, first + order, 1, driven)
-        curvature = weighed_drift(inputs, at, output, first + 2 * order, 1, driven)
-        jerk = weighed_drift(inputs, at, output, first + 3 * order, 1, driven)
+        slope = weighed(inputs, at, output, first + order, 1, driven, True)
+        curvature = weighed(inputs, at, output, first + 2 * order, 1, driven, True)
+        jerk = weighed(inputs, at, output, first + 3 * order, 1, driven, True)
         value += elapsed * (slope + 0.5 * elapsed * (curvature + elapsed * A_THIRD * jerk))
         slope += elapsed * (curvature + 0.5 * elapsed * jerk)
         curvature += elapsed * jerk
     return Origin(value, slope, curvature, jerk)
-
-
-@inlined_part
-def origin_slope(output: Table, f: int, functionals: int, inputs: FloatArray, at: int, driven: int) -> Vector:
-    """What the torque's rate of change makes the slope of a functional's origin, of one that moves by nothing else."""
-    first = (functionals + f) * driven + TORQUE_RATE
-    return vectors.load(inputs, at + TORQUE_RATE) * vectors.number(output, first)
 
 
 @inlined_part

@@ -68,7 +68,6 @@ class Flows(NamedTuple):
     modal: IntArray  # (K,)  whether the coordinates are modes
     span: FloatArray  # (K, SPANS)  [s]
     propagator: FloatArray  # (K, SPANS, B, 3, 8)  over a span: each coordinate's SELF and CROSS share, and its DECAY
-    power: FloatArray  # (K, TERMS, B, 2, 8)  SELF and CROSS of (Λ times the shortest span)^k / k!, for modes
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
     watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> JERK to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
@@ -134,7 +133,6 @@ def build_flows(
         modal=np.zeros((*many, flows), np.int64),
         span=np.zeros((*many, flows, spans)),
         propagator=np.empty((*many, flows, spans, blocks, 3, ROW)),  # the most: in larger pages, if any
-        power=np.zeros((*many, flows, TERMS, blocks, 2, ROW)),
         generator=np.zeros((*many, flows, size, size)),
         watch=np.zeros((*many, flows, count, blocks, WATCHED)),
         series=np.zeros((*many, flows, count, size, LONG)),
@@ -250,9 +248,7 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     tables.coordinates[..., place], basis[:, place, :states] = into.swapaxes(-1, -2), back.swapaxes(-1, -2)
     generator[:, place[:, None], place] = shortest[:, None, None] * block
     if modal:
-        pairs = _pairs(generator)
-        _propagate(pairs, _halves(np.isin(np.arange(size), place[: unseen.size][unseen])), tables.propagator)
-        _expand(pairs, tables.power)
+        _propagate(generator, _halves(np.isin(np.arange(size), place[: unseen.size][unseen])), tables.propagator)
     else:
         tables.propagator[:] = 0.0
 
@@ -494,27 +490,17 @@ def _unit(size: int) -> FloatArray:
     return np.eye(size)
 
 
-class _Pairs(NamedTuple):
-    """Block-diagonal generators: of each pair its block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift."""
-
-    sigma: FloatArray  # (D, B, 2, 4)
-    omega: FloatArray  # (D, B, 4)
-    drift: BoolArray  # (D, B, 4)
-
-
-def _pairs(generator: FloatArray) -> _Pairs:
-    one, other = _halves(np.arange(generator.shape[-1])).transpose(1, 0, 2)
-    omega = generator[:, one, other]
-    return _Pairs(_halves(generator.diagonal(axis1=-2, axis2=-1)), omega, omega != -generator[:, other, one])
-
-
-def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
+def _propagate(generator: FloatArray, unseen: BoolArray, result: FloatArray) -> None:
     """exp(generator · span) over the spans of the ladder, and the decay of the amplitudes.
 
+    generator : (D, C, C), of each pair a block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift
     unseen : (B, 2, 4), coordinates that no functional sees, and amplitudes need not bound
     result : (D, SPANS, B, 3, 8)
     """
     spans = result.shape[1]
+    one, other = _halves(np.arange(generator.shape[-1])).transpose(1, 0, 2)
+    omega, sigma = generator[:, one, other], _halves(generator.diagonal(axis1=-2, axis2=-1))
+    pairs = sigma, omega, omega != -generator[:, other, one]
     # one coordinate after the other, (…, D, SPANS), and each pass along memory
     sigma, omega, drift = (np.moveaxis(array, 0, -1)[..., None] for array in pairs)
     rates, angle, drifting = sigma * _ladder(spans), omega * _ladder(spans), drift.any()
@@ -531,21 +517,3 @@ def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
             share = np.where(speed != 0.0, np.expm1(speed) / speed, 1.0)
         table[:, CROSS, 0] += np.where(drift, angle * share, 0.0)
     result.reshape(-1, spans, table[..., 0, 0].size)[:] = table.reshape(-1, *rates.shape[-2:]).transpose(1, 2, 0)
-
-
-def _expand(pairs: _Pairs, result: FloatArray) -> None:
-    """generator^k / k! for k from 0 on.
-
-    result : (D, TERMS, B, 2, 8)
-    """
-    power = np.empty((TERMS, *pairs.sigma.shape), np.complex128)
-    power[0], power.real[1:], power.imag[1:] = 1.0, pairs.sigma, np.where(pairs.drift, 0.0, pairs.omega)[..., None, :]
-    np.multiply.accumulate(power, axis=0, out=power)
-    power *= _TAYLOR[:, None, None, None, None]
-    halves = np.moveaxis(result.reshape(*result.shape[:-1], 2, BLOCK), 1, 0)
-    halves[..., SELF, :, :] = power.real
-    halves[..., CROSS, 0, :], halves[..., CROSS, 1, :] = power.imag[..., 0, :], -power.imag[..., 1, :]
-    if pairs.drift.any():
-        # ω σ^(k-1) / k!
-        going = halves[:-1, ..., SELF, 1, :] * pairs.omega / np.arange(1, TERMS)[:, None, None, None]
-        halves[1:, ..., CROSS, 0, :] += np.where(pairs.drift, going, 0.0)

@@ -64,26 +64,13 @@ def gather_functional(space: Workspace, flow: int, f: int) -> None:
     gather(space, watch, (flow * watch.shape[2] + f) * watched, watched, space.lane_watch[f * watched :])
 
 
-@part
-def _watch_of_lanes(space: Workspace, f: int) -> OfLanes:
-    """What has been gathered of a functional."""
-    return OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
-
-
 @inlined_part
-def evaluate(space: Workspace, flow: int, f: int, jerk: Vector, sixth: Vector) -> curves.Curve:
+def evaluate(space: Workspace, flow: int, f: int, bounded: bool) -> tuple[curves.Curve, Vector]:
     """`curves.evaluate` of the runs taken."""
     if space.mixed != 0:
-        return curves.evaluate(_watch_of_lanes(space, f), space.pool.work, size_of(space), jerk, sixth)
-    return curves.evaluate(space.flows.watch[0, flow, f], space.pool.work, size_of(space), jerk, sixth)
-
-
-@inlined_part
-def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]:
-    """`curves.bounds` of the runs taken."""
-    if space.mixed != 0:
-        return curves.bounds(_watch_of_lanes(space, f), space.pool.work, size_of(space))
-    return curves.bounds(space.flows.watch[0, flow, f], space.pool.work, size_of(space))
+        gathered = OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
+        return curves.evaluate(gathered, space.pool.work, size_of(space), bounded)
+    return curves.evaluate(space.flows.watch[0, flow, f], space.pool.work, size_of(space), bounded)
 
 
 @inlined_part
@@ -95,16 +82,6 @@ def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) ->
         gathered = OfLanes(space.lane_output_origins)
         return curves.origin(gathered, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
     return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
-
-
-@inlined_part
-def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
-    """`curves.origin_slope` of the runs taken."""
-    work, at, driven = space.pool.work, space.inputs_at, inputs_of(space.system)
-    output, functionals = space.flows.origin_output, space.flows.origin_output.shape[3]
-    if space.mixed != 0:
-        return curves.origin_slope(OfLanes(space.lane_output_origins), f, functionals, work, at, driven)
-    return curves.origin_slope(output[0, flow], f, functionals, work, at, driven)
 
 
 @inlined_part

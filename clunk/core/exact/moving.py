@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact import functionals, rows
-from clunk.core.exact.curves import A_THIRD, weighed, weighed_drift, weight
+from clunk.core.exact.curves import A_THIRD, weighed
 from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field, is_still, size_of
 from clunk.core.jit import inlined_part, part
@@ -91,9 +91,9 @@ def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> N
     for n in range(space.flows.coordinates.shape[2]):
         origin = weighed(work, inputs, origins, n, size, driven, ramps)
         if not still:
-            origin += weighed_drift(work, inputs, origins, order + n, size, driven) * elapsed
-            origin += weighed_drift(work, inputs, origins, 2 * order + n, size, driven) * half
-            origin += weighed_drift(work, inputs, origins, 3 * order + n, size, driven) * sixth
+            origin += weighed(work, inputs, origins, order + n, size, driven, True) * elapsed
+            origin += weighed(work, inputs, origins, 2 * order + n, size, driven, True) * half
+            origin += weighed(work, inputs, origins, 3 * order + n, size, driven, True) * sixth
         away = vectors.splat(0.0)
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)
@@ -126,24 +126,19 @@ def _add_drivelines(space: Workspace, each: int) -> None:
 @inlined_part
 def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
     """Move each of the items taken by a part of the shortest span."""
-    flows, size, modes = space.flows, size_of(space), space.flows.modal[0, flow] != 0
+    modes = space.flows.modal[0, flow] != 0
     if space.mixed != 0:
         _move_by_parts_of_lanes(space, flow, modes, part)
     else:
-        move(flows.power[0, flow], flows.generator[0, flow], modes, part, space.pool.work, size, space.moved)
+        move(space.flows.generator[0, flow], modes, part, space.pool.work, size_of(space), space.moved)
 
 
 @part
 def _move_by_parts_of_lanes(space: Workspace, flow: int, modes: bool, part: Vector) -> None:
     vectors.stay_apart()
-    flows, table = space.flows, OfLanes(space.lane_table)
-    if modes:
-        count = flows.power[0, 0].size
-        functionals.gather(space, flows.power, flow * count, count, space.lane_table)
-    else:
-        count = flows.generator[0, 0].size
-        functionals.gather(space, flows.generator, flow * count, count, space.lane_table)
-    move(table, table, modes, part, space.pool.work, size_of(space), space.moved)
+    count = space.flows.generator[0, 0].size
+    functionals.gather(space, space.flows.generator, flow * count, count, space.lane_table)
+    move(OfLanes(space.lane_table), modes, part, space.pool.work, size_of(space), space.moved)
 
 
 @inlined_part
@@ -178,23 +173,23 @@ def measure(work: FloatArray, size: int) -> None:
 
 
 @inlined_part
-def move(
-    power: Table, generator: Table, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray
-) -> None:
+def move(generator: Table, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray) -> None:
     """Move by a part of the shortest span, by the Taylor series of the exponential. `moved` is scratch, 2C rows."""
     if modes:
         for begin in range(0, size, ROW):
-            for k in range(BLOCK):
-                one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + BLOCK)
-                total1, total2 = vectors.splat(0.0), vectors.splat(0.0)
-                for j in range(TERMS - 1, -1, -1):
-                    first = (j * (size // ROW) + begin // ROW) * 2
-                    same, cross = first + SELF, first + CROSS
-                    term1 = fused(other, weight(power, cross, k), one * weight(power, same, k))
-                    term2 = fused(one, weight(power, cross, k + BLOCK), other * weight(power, same, k + BLOCK))
-                    total1, total2 = fused(total1, part, term1), fused(total2, part, term2)
-                vectors.store(work, begin + k, total1)
-                vectors.store(work, begin + k + BLOCK, total2)
+            for p in range(begin, begin + BLOCK):
+                q = p + BLOCK
+                one, other = vectors.load(work, p), vectors.load(work, q)
+                same, cross = vectors.number(generator, p * size + p), vectors.number(generator, p * size + q)
+                crossed, same_too = vectors.number(generator, q * size + p), vectors.number(generator, q * size + q)
+                moved_one, partner = one, other
+                for k in range(TERMS - 1, 0, -1):
+                    share = part * (1.0 / k)
+                    change = fused(partner, cross, moved_one * same)
+                    partner = fused(share, fused(partner, same_too, moved_one * crossed), other)
+                    moved_one = fused(share, change, one)
+                vectors.store(work, p, moved_one)
+                vectors.store(work, q, partner)
         return
     for r in range(size):
         vectors.store(moved, r, vectors.load(work, r))
@@ -203,6 +198,6 @@ def move(
             total = vectors.splat(0.0)
             for c in range(size):
                 total = fused(vectors.load(work, c), vectors.number(generator, r * size + c), total)
-            vectors.store(moved, size + r, vectors.load(moved, r) + part / float(k) * total)
+            vectors.store(moved, size + r, fused(part * (1.0 / k), total, vectors.load(moved, r)))
         for r in range(size):
             vectors.store(work, r, vectors.load(moved, size + r))

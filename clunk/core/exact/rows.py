@@ -14,14 +14,13 @@ _FIRST = 3
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
 PHASE_MAX, PHASE_MIN = 2, 3  # and in the phase
-SEEN, SEEN_SLOPE, SEEN_CURVATURE = 4, 5, 6  # the acceleration at the end of the last step
-_CHANGING = 7
+_CHANGING = 4
 # And those that they do not change. A step reads 8 numbers at a time: with 32 in all it is 2 % quicker than with 40.
-MARGIN = 7
-HELD_FROM = 8  # s, from the phase's beginning until a contact has held for the sticking time
-SIDE = 9  # by which the guards' signs are those of the group's first regime: 1 or -1
-SCALE = 10  # of the guards' margins
-_OF_LASH = 11
+MARGIN = 4
+HELD_FROM = 5  # s, from the phase's beginning until a contact has held for the sticking time
+SIDE = 6  # by which the guards' signs are those of the group's first regime: 1 or -1
+SCALE = 7  # of the guards' margins
+_OF_LASH = 8
 # Behind the last lash's: LIMIT, s, from the phase's beginning to the end of the run, or of the load's piece, see
 # `limit`; the SHIFT of each guard, see `shift`; the regime's inputs, when the phase or the load's piece began; and
 # whether the load, which may change at LIMIT, has not come to rest. Without ramps and kinks, a step does not read the

@@ -21,16 +21,14 @@ import numpy.typing as npt
 
 from clunk.core.events import INSTANT, LOCK, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import functionals, moving, rows
-from clunk.core.exact.flows import Flows
 from clunk.core.exact.search import conclude, search
-from clunk.core.exact.step import origin_of_acceleration, take_step, widen_extremes
+from clunk.core.exact.step import take_step
 from clunk.core.exact.workspace import (
     GRAZING,
     Workspace,
     log_of,
     number_of,
     set_field,
-    set_field_of,
     set_number_of,
     step_queue,
     system_at,
@@ -53,8 +51,8 @@ from clunk.core.regimes import (
 from clunk.core.rigid import holding_torque
 from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, roll_states, set_torque
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, after_rubbing, begin_run, room_for_a_switch, switch, weigh
-from clunk.core.tables import ACCELERATION, FORCE, GAP, HALF_GAP, INPUTS, TORQUE
+from clunk.core.switching import MOST_STAGES, after_rubbing, begin_run, preload, room_for_a_switch, switch, weigh
+from clunk.core.tables import GAP, TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -76,12 +74,12 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
         play = space.plays[slot, lash]
         play.last_side = system.contacts[start.regime, lash].side
         play.contact_began, play.from_sticking = -np.inf, 0
-        play.static = _static(system, space.flows, driveline, start, lash, space.inputs[slot])
         space.fastest[slot, lash] = 0.0
         set_number_of(space, slot, rows.MARGIN, lash, MOST)
         # no acceleration counts before the first primary impact
         set_number_of(space, slot, rows.WINDOW_MAX, lash, np.inf)
         set_number_of(space, slot, rows.WINDOW_MIN, lash, -np.inf)
+    _set_rest(space, slot, start)
     _begin_phase(space, slot)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
@@ -186,21 +184,11 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
 
 @inlined_part
 def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
-    """From the states of the runs taken to their coordinates in a flow, with the acceleration as it is there."""
-    zero, lashes = vectors.splat(0.0), lashes_of(space.system)
+    """From the states of the runs taken to their coordinates in a flow."""
     moving.to_coordinates(space, flow)
-    set_field(space, rows.ELAPSED, zero)
-    set_field(space, rows.TRY, zero + np.inf)
-    for lash in range(lashes):
-        f = lash * space.system.functionals_per_lash + ACCELERATION
-        acceleration = functionals.evaluate(space, flow, f, zero, zero)
-        origin = origin_of_acceleration(space, flow, lash, zero)
-        seen = acceleration.value + origin.value
-        widen_extremes(space, lash, seen)
-        set_field_of(space, rows.SEEN, lash, seen)
-        set_field_of(space, rows.SEEN_SLOPE, lash, acceleration.slope + origin.slope)
-        set_field_of(space, rows.SEEN_CURVATURE, lash, acceleration.curvature)
-    put_back(space.pool, space.numbers, space.behind + rows.changing(lashes), (1 << count) - 1)
+    set_field(space, rows.ELAPSED, vectors.splat(0.0))
+    set_field(space, rows.TRY, vectors.splat(np.inf))
+    put_back(space.pool, space.numbers, space.behind + rows.changing(lashes_of(space.system)), (1 << count) - 1)
 
 
 @inlined_part
@@ -354,61 +342,39 @@ def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> Non
         margin = 1.0 - age / sticking_time
     if guard.event_kind == REJOIN and age > sticking_time and play.static > 0.0:
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
-        overlap, gap = -space.inputs[slot, gap_input(lash)], lash * system.functionals_per_lash + GAP
-        for k in range(x.size):
-            overlap += guard.side * system.functionals[0, gap, k] * x[k]
-        if max(overlap, 0.0) / play.static < abs(margin):
-            margin = max(overlap, 0.0) / play.static
+        overlap = max(_overlap(system, lash, guard.side, x, space.inputs[slot]), 0.0)
+        if overlap / play.static < abs(margin):
+            margin = overlap / play.static
     set_number_of(space, slot, rows.MARGIN, lash, margin)
 
 
 @part
-def _static(system: System, flows: Flows, driveline: int, start: Start, lash: int, inputs: FloatArray) -> float:
-    """The overlap of a lash's flanks, or the torque that locks them, at rest under the torque that the load ends at.
+def _set_rest(space: Workspace, slot: int, start: Start) -> None:
+    """Set how far each lash's flanks overlap, or the torque that locks them, in steady motion at the load's end.
 
-    Without such rest, what it is at the load step.
+    Where there is none, it is that before the load step; without a flank it is zero.
     """
-    f = lash * system.functionals_per_lash + (FORCE if system.impulsive != 0 else GAP)
-    torque, most = start.loads[start.load, -1, LEVEL], 0.0
-    offset = 0.0 if system.impulsive != 0 else inputs[gap_input(lash)]
-    for regime in range(system.regimes.size):
-        contact = system.contacts[regime, lash]
-        rests = contact.closed != 0 and flows.steady[0, system.regimes[regime].flow] != 0
-        if rests and elements_of(system) > 1:
-            rests = _rests(system, flows, driveline, regime, lash, torque, inputs)
-        if rests:
-            value = _at_rest(system, flows, driveline, regime, f, torque, inputs)
-            most = max(most, contact.side * value - offset)
-    side, flow = system.contacts[start.regime, lash].side, system.regimes[start.regime].flow
-    if most > 0.0 or side == 0:
-        return float(most)
-    value = 0.0
-    for k in range(start.x.size):
-        value += system.functionals[flow, f, k] * start.x[k]
-    return float(max(side * value - offset, 0.0))
+    system, inputs = system_of(space, slot), space.inputs[slot]
+    x, torque, rate = space.state[slot, : system.lashes.shape[1]], inputs[TORQUE], inputs[TORQUE_RATE]
+    inputs[TORQUE], inputs[TORQUE_RATE] = start.loads[start.load, -1, LEVEL], 0.0
+    status, regime = preload(system, inputs, x)
+    if status != _OK:
+        inputs[TORQUE] = start.before[TORQUE]
+        status, regime = preload(system, inputs, x)
+    for lash in range(lashes_of(system)):
+        side = system.contacts[regime, lash].side
+        if system.impulsive != 0:
+            static = side * holding_torque(system, regime, lash, x, inputs)[0]
+        else:
+            static = _overlap(system, lash, side, x, inputs)
+        space.plays[slot, lash].static = max(static, 0.0) if status == _OK else 0.0
+    inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
 
 
 @inlined_part
-def _at_rest(
-    system: System, flows: Flows, driveline: int, regime: int, f: int, torque: float, inputs: FloatArray
-) -> float:
-    """A functional of the particular solution of a regime under a torque."""
-    output = flows.origin_output[driveline, system.regimes[regime].flow, 0, f]
-    value = output[TORQUE] * torque + output[HALF_GAP] * (system.weights[regime, HALF_GAP] * inputs[HALF_GAP])
-    for k in range(INPUTS, inputs_of(system)):
-        value += output[k] * (system.weights[regime, k] * inputs[k])
-    return float(value)
-
-
-@part
-def _rests(
-    system: System, flows: Flows, driveline: int, regime: int, lash: int, torque: float, inputs: FloatArray
-) -> bool:
-    """Whether a regime's particular solution under a torque ends by no guard of a staged shaft or another lash."""
-    for g in range(system.regimes[regime].guards):
-        guard = system.guards[regime, g]
-        if guard.lash != lash:
-            value = guard.sign * _at_rest(system, flows, driveline, regime, guard.functional, torque, inputs)
-            if value + weigh(system.offsets[regime, g], inputs, inputs_of(system)) < 0.0:
-                return False
-    return True
+def _overlap(system: System, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> float:
+    """How far the flanks of a lash overlap on one side  [rad]."""
+    overlap = -inputs[gap_input(lash)]
+    for k in range(x.size):
+        overlap += side * system.functionals[0, lash * system.functionals_per_lash + GAP, k] * x[k]
+    return float(overlap)

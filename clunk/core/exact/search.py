@@ -54,8 +54,8 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
     zero, present, until = vectors.splat(0.0), (1 << count) - 1, field(space, rows.UNTIL)
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
     origin = curves.load_origin(space.pool.work, space.behind + rows.AT)
-    jerk, sixth, _ = functionals.bounds(space, flow, f)
-    curve = curves.as_guard(functionals.evaluate(space, flow, f, jerk, sixth), origin, sign, shift)
+    seen, _ = functionals.evaluate(space, flow, f, True)
+    curve = curves.as_guard(seen, origin, sign, shift)
     top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), curve.value <= until
     known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS), until > -np.inf)
 

@@ -24,6 +24,7 @@ from clunk.core.exact.curves import load_curve
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.workspace import (
     GRAZING,
+    OF_ACCELERATION,
     OF_GUARD,
     OF_OUTPUT,
     Search,
@@ -54,6 +55,7 @@ _LONGEST_FALL = 2.0**16  # of the shortest spans: a guard that has not turned ba
 # Rows of `outputs`: the functional less its origin; its sway; the origin's value and first three derivatives at the
 # step's beginning, and where it moves also at its end.
 _AWAY, _SWAY, _ORIGIN, _ORIGIN_MOVED = 0, 5, 6, 10
+_ORIGIN_OF_IT = 5  # in rows of `accelerations`, behind the acceleration itself, its origin included
 # Rows of `guards`: the guard at the step's beginning and at its end; its least value and the sixth derivative's
 # remainder in between, as `curves.between` has them.
 _START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
@@ -93,8 +95,6 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         settled &= ~kinks
         at_most = vectors.choose(kinks, vectors.smaller(at_most, time_left), at_most)
     there = present & ~settled
-    if (field(space, rows.ZERO) > 0.0) != 0:  # but in the first step of a phase none is known
-        _take_zeros(space, regime)
 
     event, ends, lost, grazing, blocked = zero - 1.0, 0, 0, 0, 0
     if short:
@@ -169,17 +169,21 @@ def _note_outcomes(space: Workspace, special: int, event: Vector, lanes: _Lanes)
 
 @inlined_part
 def _evaluate_guards(space: Workspace, regime: int) -> None:
-    """The guards at the step's beginning."""
+    """The guards at the step's beginning: zero to the last bit where one is known to be."""
     system, outputs, flow = space.system, space.outputs, space.system.regimes[regime].flow
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
         at = alike * OF_OUTPUT
         if alike == n:
-            jerk, sixth, sway = functionals.bounds(space, flow, f)
-            vectors.store(outputs, at + _AWAY, functionals.evaluate(space, flow, f, jerk, sixth))
+            away, sway = functionals.evaluate(space, flow, f, True)
+            vectors.store(outputs, at + _AWAY, away)
             vectors.store(outputs, at + _SWAY, sway)
             _store_origin(space, flow, f, at + _ORIGIN)
-        vectors.store(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at, at + _ORIGIN))
+        guard = _guard(space, regime, n, at, at + _ORIGIN)
+        vectors.store(space.guards, n * OF_GUARD + _START, guard)
+        vectors.store(
+            space.guards, n * OF_GUARD + _START, vectors.choose(_zero_order(space, n) == 1.0, 0.0, guard.value)
+        )
 
 
 @inlined_part
@@ -245,43 +249,30 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 
 
 @inlined_part
-def origin_of_acceleration(space: Workspace, flow: int, lash: int, elapsed: Vector) -> curves.Origin:
-    """The origin of a lash's acceleration, which moves only under a ramp, even where the flow drifts."""
+def _acceleration(space: Workspace, flow: int, lash: int, bounded: bool) -> tuple[curves.Curve, curves.Origin, Vector]:
+    """A lash's acceleration, its origin, which moves only under a ramp, and a bound of the difference from now on."""
     f = lash * space.system.functionals_per_lash + ACCELERATION
-    origin = functionals.origin(space, flow, f, True, elapsed)
-    if space.system.ramps == 0:
-        return origin
-    slope = functionals.origin_slope(space, flow, f)
-    return curves.Origin(origin.value + elapsed * slope, slope, origin.curvature, origin.jerk)
-
-
-@inlined_part
-def widen_extremes(space: Workspace, lash: int, seen: Vector) -> None:
-    """Take a value of a lash's acceleration into the extremes of its window and of the phase."""
-    set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(field_of(space, rows.WINDOW_MAX, lash), seen))
-    set_field_of(space, rows.WINDOW_MIN, lash, vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), seen))
-    set_field_of(space, rows.PHASE_MAX, lash, vectors.larger(field_of(space, rows.PHASE_MAX, lash), seen))
-    set_field_of(space, rows.PHASE_MIN, lash, vectors.smaller(field_of(space, rows.PHASE_MIN, lash), seen))
+    origin = functionals.origin(space, flow, f, space.system.ramps == 0, field(space, rows.ELAPSED))
+    away, sway = functionals.evaluate(space, flow, f, bounded)
+    one = vectors.splat(1.0)
+    return curves.as_guard(away, origin, one, 0.0 * one), origin, sway
 
 
 @inlined_part
 def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     """Where an acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
 
-    Each lash's lanes are in `may_widen`, and what is known of its acceleration at the step's beginning in
-    `accelerations`.
+    Each lash's lanes are in `may_widen`, and its acceleration at the step's beginning in `accelerations`.
     """
     may_widen = 0
     for lash in range(lashes_of(space.system)):
-        origin = origin_of_acceleration(space, flow, lash, field(space, rows.ELAPSED))
-        _, sixth, sway = functionals.bounds(space, flow, lash * space.system.functionals_per_lash + ACCELERATION)
+        start, origin, sway = _acceleration(space, flow, lash, True)
         high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
-        largest = smallest = origin.value
-        if space.system.ramps != 0:
-            last = origin.value + origin.slope * time_left
-            largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
+        last = origin.value + origin.slope * time_left
+        largest, smallest = vectors.larger(origin.value, last), vectors.smaller(origin.value, last)
         lanes = (largest + sway > high) | (smallest - sway < low)
-        vectors.store(space.accelerations, 3 * lash, (origin.value, origin.slope, sixth))
+        vectors.store(space.accelerations, OF_ACCELERATION * lash, start)
+        vectors.store(space.accelerations, OF_ACCELERATION * lash + _ORIGIN_OF_IT, origin)
         space.may_widen[lash] = lanes
         may_widen |= lanes
     return int(may_widen)
@@ -297,15 +288,6 @@ def _stay_positive(space: Workspace, regime: int) -> int:
         least = at_rest + _shift(space, n) - vectors.load(space.outputs, at + _SWAY)
         stay &= (least > 0.0) & (least >= _bar(space, regime, n))
     return stay
-
-
-@inlined_part
-def _take_zeros(space: Workspace, regime: int) -> None:
-    """Set the value of a guard to zero, to the last bit, where it is known to be."""
-    for n in range(space.system.regimes[regime].guards):
-        row = n * OF_GUARD + _START
-        is_zero = _zero_order(space, n) == 1.0
-        vectors.store(space.guards, row, vectors.choose(is_zero, 0.0, vectors.load(space.guards, row)))
 
 
 @inlined_part
@@ -461,8 +443,8 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
         at, row = alike * OF_OUTPUT, n * OF_GUARD
         if alike == n:
-            before = load_curve(outputs, at + _AWAY)
-            vectors.store(outputs, at + _AWAY, functionals.evaluate(space, flow, f, before.jerk, before.sixth))
+            away, _ = functionals.evaluate(space, flow, f, False)
+            vectors.store(outputs, at + _AWAY, away)
             if not is_still(space, flow):
                 _store_origin(space, flow, f, at + _ORIGIN_MOVED)
         start = load_curve(guards, row + _START)
@@ -483,38 +465,27 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
 
     Returns the lanes in which to search.
     """
-    known, zero, extremes = space.accelerations, vectors.splat(0.0), 0
+    known, infinite, extremes = space.accelerations, vectors.splat(np.inf), 0
     for lash in range(lashes_of(space.system)):
-        f = lash * space.system.functionals_per_lash + ACCELERATION
-        origin_value, origin_slope = vectors.load(known, 3 * lash), vectors.load(known, 3 * lash + 1)
-        start = curves.Curve(
-            field_of(space, rows.SEEN, lash),
-            field_of(space, rows.SEEN_SLOPE, lash),
-            field_of(space, rows.SEEN_CURVATURE, lash),
-            zero,
-            vectors.load(known, 3 * lash + 2),
-        )
-        seen = functionals.evaluate(space, flow, f, zero, start.sixth)
-        last, slope = seen.value + origin_value, seen.slope
-        if space.system.ramps != 0:
-            last, slope = last + h * origin_slope, slope + origin_slope
-        end = curves.Curve(last, slope, seen.curvature, zero, start.sixth)
-        turns, may_widen = 0, space.may_widen[lash] & advancing
-        if may_widen != 0:
-            high = vectors.larger(field_of(space, rows.WINDOW_MAX, lash), last)
-            low = vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), last)
+        start = load_curve(known, OF_ACCELERATION * lash)
+        end, _, _ = _acceleration(space, flow, lash, False)
+        largest, smallest = vectors.larger(start.value, end.value), vectors.smaller(start.value, end.value)
+        top = vectors.larger(field_of(space, rows.WINDOW_MAX, lash), largest)
+        bottom = vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), smallest)
+        set_field_of(space, rows.WINDOW_MAX, lash, top)
+        set_field_of(space, rows.WINDOW_MIN, lash, bottom)
+        set_field_of(space, rows.PHASE_MAX, lash, vectors.larger(field_of(space, rows.PHASE_MAX, lash), largest))
+        set_field_of(space, rows.PHASE_MIN, lash, vectors.smaller(field_of(space, rows.PHASE_MIN, lash), smallest))
+        turns = space.may_widen[lash] & advancing
+        if turns != 0:
             least, greatest, remainder = curves.between(start, end, h)
             monotone, _ = curves.turns_not(start, end, remainder, h)
-            turns = ((greatest > high) | (least < low)) & may_widen & ~monotone
-        widen_extremes(space, lash, last)
-        set_field_of(space, rows.SEEN, lash, last)
-        set_field_of(space, rows.SEEN_SLOPE, lash, slope)
-        set_field_of(space, rows.SEEN_CURVATURE, lash, seen.curvature)
+            turns &= ((greatest > top) | (least < bottom)) & ~monotone
         extremes |= turns
         if turns != 0:
-            top, bottom = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
-            origin = curves.Origin(origin_value, origin_slope, zero, zero)
-            wanted = Search(h, top, bottom, zero + 1.0, zero, zero + np.inf, zero - np.inf)
+            origin = curves.load_origin(known, OF_ACCELERATION * lash + _ORIGIN_OF_IT)
+            wanted = Search(h, top, bottom, 0.0 * h + 1.0, 0.0 * h, infinite, -infinite)
+            f = lash * space.system.functionals_per_lash + ACCELERATION
             begin_searches(space, flow, f, lash, turns, wanted, origin)
     return int(extremes)
 

@@ -26,7 +26,7 @@ IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
-OF_OUTPUT, OF_GUARD = 14, 12  # rows that a step keeps of a functional, and of a guard
+OF_OUTPUT, OF_GUARD, OF_ACCELERATION = 14, 12, 9  # rows that a step keeps of a functional, and so on
 
 RUN = np.dtype(
     [
@@ -104,7 +104,7 @@ class Workspace(NamedTuple):
     # scratch of a step
     outputs: FloatArray  # (G OF_OUTPUT, W)  see clunk.core.exact.step
     guards: FloatArray  # (G OF_GUARD, W)
-    accelerations: FloatArray  # (3L, W)  of each: its origin's value and slope, and a bound of its sixth derivative
+    accelerations: FloatArray  # (L OF_ACCELERATION, W)
     may_widen: IntArray  # (L,)  lanes in which it can exceed what its window holds
     series: FloatArray  # (TERMS, W)
     moved: FloatArray  # (3C, W)
@@ -174,7 +174,7 @@ def make_workspace(
         states=np.empty((slots, states, system.lashes.shape[1])),
         outputs=aligned(most * OF_OUTPUT, WIDTH),
         guards=aligned(most * OF_GUARD, WIDTH),
-        accelerations=aligned(3 * lashes, WIDTH),
+        accelerations=aligned(lashes * OF_ACCELERATION, WIDTH),
         may_widen=np.zeros(lashes, np.int64),
         series=aligned(TERMS, WIDTH),
         moved=aligned(3 * size, WIDTH),
@@ -185,7 +185,7 @@ def make_workspace(
         lane_watch=aligned(flows.watch[0, 0].size * mixed, WIDTH),
         lane_output_origins=aligned(flows.origin_output[0, 0].size * mixed, WIDTH),
         lane_state_origins=aligned(flows.origin[0, 0].size * mixed, WIDTH),
-        lane_table=aligned(max(flows.power[0, 0].size, size * max(size, LONG)) * mixed, WIDTH),
+        lane_table=aligned(size * max(size, LONG) * mixed, WIDTH),
         held=np.zeros((lashes, 2)),
         alone=np.zeros((2, TERMS)),
         ladder=np.zeros((TERMS, TERMS)),
