@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clunk.core.jit import compiled, inlined_part
-from clunk.core.lanes import vectors
+from clunk.core.lanes import pool, vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
 
 ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
@@ -79,8 +79,9 @@ def scatter(of, row, array, offsets, first):
 
 
 @compiled
-def append(array, first, of, bits):
-    return vectors.append(array, first, of, bits), vectors.first_of(bits)
+def push_all(items, bits):
+    pool.push_all(items, 0, bits)
+    return vectors.first_of(bits)
 
 
 def holds(bits):
@@ -165,12 +166,14 @@ def test_scattering_is_the_other_way_round(first, row):
 @pytest.mark.parametrize(("bits", "lowest"), [*zip(BITS, (64, 0, 0, WIDTH - 1, 0), strict=True)])
 @pytest.mark.parametrize("first", [0, 3])
 def test_those_set_are_appended_in_order_the_lowest_first(bits, lowest, first):
-    array, of = np.full(WIDTH + 8, -1), RANDOM.integers(0, 1000, WIDTH)
-    (end, first_set), chosen = append(array, first, of, bits), of[holds(bits)]
-    assert (end, first_set) == (first + chosen.size, lowest)
-    assert np.array_equal(array[first:end], chosen)
-    assert np.all(array[:first] == -1)
-    assert np.all(array[end + 1 :] == -1)  # one more place may be overwritten
+    items = pool.make_pool(1, WIDTH + 8, ROW)
+    items.waiting[:], items.length[0], items.items[:] = -1, first, RANDOM.integers(0, 1000, WIDTH)
+    (waiting,), chosen = items.waiting, items.items[holds(bits)]
+    assert push_all(items, bits) == lowest
+    assert items.length[0] == first + chosen.size
+    assert np.array_equal(waiting[first : items.length[0]], chosen)
+    assert np.all(waiting[:first] == -1)
+    assert np.all(waiting[items.length[0] + 1 :] == -1)  # one more place may be overwritten
 
 
 def test_a_stack_is_made_to_begin_where_a_register_does():

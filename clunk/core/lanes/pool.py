@@ -61,7 +61,11 @@ def push(pool: Pool, queue: int, item: int) -> None:
 @part
 def push_all(pool: Pool, queue: int, mask: int) -> None:
     """Append those of the items taken whose lanes are in a mask."""
-    pool.length[queue] = vectors.append(pool.waiting[queue], pool.length[queue], pool.items, mask)
+    end = pool.length[queue]
+    for lane in range(WIDTH):  # nothing branches on the mask, which no processor could predict
+        pool.waiting[queue, end] = pool.items[lane]
+        end += mask >> lane & 1
+    pool.length[queue] = end
 
 
 @part

@@ -19,6 +19,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
+from clunk.core.jit import inlined_part
+
 
 def _has_wide_registers() -> bool:
     """Whether this processor's registers hold eight floats, and not four or two."""
@@ -193,27 +195,6 @@ def magnitude(typing: Any, a: Any) -> Any:
     return _by_llvm("fabs", (a,))
 
 
-def _selected(sign: str) -> Any:
-    """The first of two where it compares so with the second, which stands elsewhere."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.select(builder.fcmp_ordered(sign, *values), *values)
-
-    return _LANES(_LANES, _LANES), emit
-
-
-@_operation
-def larger(typing: Any, a: Any, b: Any) -> Any:
-    """The larger of two, lane by lane; b where either is NaN."""
-    return _selected(">")
-
-
-@_operation
-def smaller(typing: Any, a: Any, b: Any) -> Any:
-    """The smaller of two, lane by lane; b where either is NaN."""
-    return _selected("<")
-
-
 def _as_lanes(builder: Any, type_: Any, value: Any) -> Any:
     return value if type_ == _LANES else _splat(builder, value)
 
@@ -289,23 +270,16 @@ def first_of(typing: Any, bits: Any) -> Any:
     )
 
 
-@_operation
-def append(typing: Any, array: Any, first: Any, of: Any, bits: Any) -> Any:
-    """Write those ints of WIDTH whose bits are set to an array, from `first` on; one more place may be overwritten.
+@inlined_part
+def larger(a: Vector, b: Vector) -> Vector:
+    """The larger of two, lane by lane; b where either is NaN."""
+    return choose(a > b, a, b)
 
-    Returns where they end. Nothing branches on the bits, which no processor could predict.
-    """
 
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        to = context.make_array(signature.args[0])(context, builder, values[0]).data
-        integers = context.make_array(signature.args[2])(context, builder, values[2]).data
-        end = values[1]
-        for k in range(WIDTH):
-            builder.store(builder.load(builder.gep(integers, [_INT(k)])), builder.gep(to, [end]))
-            end = builder.add(end, builder.and_(builder.lshr(values[3], _INT(k)), _INT(1)))
-        return end
-
-    return types.int64(array, types.int64, of, types.int64), emit
+@inlined_part
+def smaller(a: Vector, b: Vector) -> Vector:
+    """The smaller of two, lane by lane; b where either is NaN."""
+    return choose(a < b, a, b)
 
 
 def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
