@@ -17,6 +17,7 @@ import clunk
 from clunk.analysis.comparison import METHODS, with_method
 from clunk.core.status import Status
 from clunk.simulation.energy import balance
+from clunk.study.config import study_from_text
 from clunk.study.designs import has_tolerances
 from clunk.study.study import replace_values, to_toml
 
@@ -26,6 +27,20 @@ REFINEMENTS = (4, 16, 64)  # of rk4's step, where labels differ
 LAST_EVENT = 1e-5  # s, to which the last event's time is the same where rk4 has converged
 FOUND = (83, 259, 588, 856, 875, 912, 914, 961)  # studies of the long form in which something was found and mended
 REFUSED = ("no steady motion before the load step",)  # what a study may be refused for
+RUNS_OF_A_CELL = 20_000  # of a search for thresholds, at most
+DRAWN = '[[sweep.tolerances]]\nparameter = "{}"\ndistribution = "normal"\ndraws = "factor"\nstd = 0.01\n'
+FITTED = """
+[fit]
+candidates = 32
+draws = 64
+effective_draws = 8
+[[fit.parameters]]
+parameter = "solver.end_time"
+distribution = "uniform"
+draws = "factor"
+low = 0.9
+high = 1.1
+"""
 
 STUDIES = [
     *(pytest.param(path, id=path.stem) for path in CONFIGS),
@@ -176,6 +191,51 @@ def _values(results):
             yield each, each.values.reshape([-1 if j == k else 1 for j in range(len(results.axes))])
 
 
+def test_thresholds_are_where_labels_change(verified):
+    """By every fifth study, along the first axis: runs at either end of what a threshold may be off by.
+
+    Where the least change of a value changes the label, rounding of the ends may do so: twice in a hundred at most.
+    """
+    study = with_method(verified.study, "exact")
+    results = verified.maps["exact"].of_lash()
+    if _turn(study) != 1 or has_tolerances(study) or results.coordinates or len(results.axes) < 2:
+        pytest.skip("another one's turn, or no grid of nominal drivelines")
+    found = clunk.thresholds(study, along=results.axes[0].parameter, workers=1)
+    assert found.runs <= RUNS_OF_A_CELL * found.lowest.size
+    at = [found.at(cell) for cell in found.cell.tolist()]
+    for codes, sign in ((found.below, -1.0), (found.above, 1.0)):
+        if at:
+            points = {key: [each[key] for each in at] for key in at[0]}
+            points[found.along.parameter] = found.value + sign * found.off
+            labels = clunk.run_points(study, points, workers=1).of_lash().label_map
+            told = [found.word(code) for code in codes.tolist()]
+            assert np.count_nonzero(labels != told) <= max(1, 0.02 * labels.size)
+
+
+def test_a_sensitivity_is_of_its_nominal_run_and_a_fit_of_its_own_labels_meets_them(verified, tmp_path):
+    """Every fifth study: its numbers drawn around their values, and its map's labels, as if they were measured."""
+    study, results = with_method(verified.study, "exact"), verified.maps["exact"].of_lash()
+    if _turn(study) != 3 or has_tolerances(study) or len(results.axes) < 2:
+        pytest.skip("another one's turn")
+    keys = [axis.parameter for axis in results.axes]
+    drawn = "".join(DRAWN.format(key) for key in keys)
+    text = to_toml(study.model_copy(update={"sweep": None}))
+    around = study_from_text(f"{text}\n[sweep]\nsampling = {{ count = 8 }}\n{drawn}")
+    try:
+        sensitivity = clunk.sensitivity(around, workers=1)
+        assert sensitivity.label == clunk.simulate(study.model_copy(update={"sweep": None})).label
+        assert sensitivity.runs == 8 * (len(keys) + 2)
+    except clunk.ClunkError as refusal:
+        assert str(refusal).endswith(".")  # a run has no such quantity, or a draw is not allowed
+    grid = np.meshgrid(*(axis.values for axis in results.axes), indexing="ij")
+    rows = zip(*(each.ravel().tolist() for each in (*grid, results.label_map)), strict=True)
+    lines = [",".join([*keys, "label"]), *(",".join(map(str, row)) for row in rows)]
+    (tmp_path / "measured.csv").write_text("\n".join(lines), encoding="utf-8")
+    fitted = clunk.fit(study_from_text(f"{text}\n{FITTED}"), tmp_path / "measured.csv", workers=1)
+    assert fitted.met_by_config == results.label_map.size
+    assert fitted.met > 0
+
+
 COMMANDS = (
     ("plot", "map.h5", "-o", "map.svg"),
     ("info", "map.h5", "--check"),
@@ -204,8 +264,7 @@ def test_commands_answer(ran, here, command):
         assert code == 0, errors
     else:
         clunk.write_results("map.h5", ran.maps["exact"])
-    turn = sum(map(ord, ran.study.title)) % 5
-    for words in COMMANDS[turn::5]:
+    for words in COMMANDS[_turn(ran.study) :: 5]:
         if words[0] in OF_MAPS_OF_TWO_AXES and len(ran.maps["exact"].of_lash().axes) > 2:
             continue
         code, output, errors = command(*words)
@@ -213,3 +272,8 @@ def test_commands_answer(ran, here, command):
         agrees = words[0] != "verify" or not ran.comparison.differing_elsewhere
         assert code == (0 if agrees else 4), f"{words}\n{errors}"
         assert output or Path(words[-1]).stat().st_size, words
+
+
+def _turn(study):
+    """A number from 0 to 4 of a study: every fifth one has the same."""
+    return sum(map(ord, study.title)) % 5

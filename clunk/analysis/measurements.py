@@ -142,9 +142,10 @@ def _is_measured(column: str) -> bool:
 
 def _variable(column: str, where: str) -> str:
     """Variable of a results file that a column means, by its name or by the parameter's dotted key."""
-    known = parameters({"driveline": {"inertias": [1.0], "shafts": [{}]}})
+    driveline = {"inertias": [1.0], "shafts": [{}]}
+    known = [*parameters({"driveline": driveline}), *parameters({"lash": [{}]})]
     spellings = {spelling for name in known for spelling in (name, variable_of(name))}
-    if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia or shaft
+    if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia, shaft or lash
         return variable_of(column)
     variables = [*(variable_of(name) for name in known), "label"]
     likely = nearest(column, variables) or nearest(column, known)

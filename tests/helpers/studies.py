@@ -59,7 +59,6 @@ def study_text(seed: int) -> str:
         "lash": lashes[0] if len(lashes) == 1 else lashes,
         "load": load,
         "solver": {
-            "max_events": 20000,
             "method": "exact",
             "step": _rounded(min(2e-4, 2.0 * np.pi / fastest / STEPS_A_PERIOD)),
             "end_time": kind.end_time,
