@@ -31,9 +31,9 @@ RUNS_OF_A_CELL = 20_000  # of a search for thresholds, at most
 DRAWN = '[[sweep.tolerances]]\nparameter = "{}"\ndistribution = "normal"\ndraws = "factor"\nstd = 0.01\n'
 FITTED = """
 [fit]
-candidates = 32
-draws = 64
-effective_draws = 8
+candidates = 8
+draws = 16
+effective_draws = 4
 [[fit.parameters]]
 parameter = "solver.end_time"
 distribution = "uniform"
