@@ -260,7 +260,7 @@ def _part(
     if first < 0:
         return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)
     torque_held, slope, scale = holding_torque(system, entry.regime, first, x, inputs)
-    # where a jump parts them, q'' is not zero; the load's own slope alone may tell what zero is, where it does not press
+    # where a jump parts them, q'' is not zero; unless it presses, nothing but the load's slope may tell what zero is
     side = system.contacts[before, first].side
     clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * time) or side * slope > 0.0
     return Entry(count, entry.regime, _touch_of(system, entry.regime, first, side), 2 if clearly else 3)
