@@ -142,9 +142,9 @@ def _is_measured(column: str) -> bool:
 
 def _variable(column: str, where: str) -> str:
     """Variable of a results file that a column means, by its name or by the parameter's dotted key."""
-    shafts = [{}], [{"stiffness": [1.0], "breakpoints_deg": [0.0]}]
-    one, many = ({"driveline": {"inertias": [1.0], "shafts": each}} for each in shafts)
-    known = [*parameters(one), *parameters(many | {"lash": [{}]})]
+    known = parameters({"driveline": {"inertias": [1.0], "shafts": [{}]}})
+    staged = {"stiffness": [1.0], "breakpoints_deg": [0.0]}
+    known = [*known, *parameters({"driveline": {"shafts": [staged]}, "lash": [{}]})]
     spellings = {spelling for name in known for spelling in (name, variable_of(name))}
     if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia, shaft or lash
         return variable_of(column)
