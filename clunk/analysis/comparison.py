@@ -12,7 +12,6 @@ import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -93,7 +92,6 @@ class Comparison(Record):
     labels : of both, A's first
     codes_a, codes_b : shape, int: the label in `labels`, or -1 where the cell failed
     flagged : shape, bool: undecided or grazing in A or in B
-    transitions : the most frequent first
     largest_differences : for each quantity that is defined somewhere
     identical : whether every array of the two is the same, bit for bit
     configs_equal : whether the two digests are, that is everything that decides the results
@@ -108,7 +106,6 @@ class Comparison(Record):
     flagged: Bools
     identical: bool = told("identical bit for bit")
     configs_equal: bool = told("digests of the configs are the same")
-    transitions: tuple[Transition, ...] = told("labels that differ")
     largest_differences: tuple[Difference, ...] = told("largest differences in cells with equal labels")
     config_differences: dict[str, dict[str, Any]] = told("configs")
     provenance_differences: dict[str, dict[str, Any]] = told("computed with or on other")
@@ -132,25 +129,20 @@ class Comparison(Record):
         return dict(zip("ab", (each.title for each in self.maps), strict=True))
 
     @property
-    def failed_a(self) -> Bools:
-        """Cells that failed in A, shape."""
-        return np.asarray(self.codes_a == FAILED_CODE)
+    def compared(self) -> Bools:
+        """Cells that have a label in both maps, shape; only these are compared."""
+        return np.asarray((self.codes_a != FAILED_CODE) & (self.codes_b != FAILED_CODE))
 
     @property
-    def failed_b(self) -> Bools:
-        """Cells that failed in B, shape."""
-        return np.asarray(self.codes_b == FAILED_CODE)
-
-    @cached_property
     def differs(self) -> Bools:
         """Cells that have two labels, shape."""
-        return np.asarray((self.codes_a != self.codes_b) & ~self.failed_a & ~self.failed_b)
+        return np.asarray(self.compared & (self.codes_a != self.codes_b))
 
     @property
     @tells("cells", key="cells_compared")
     def cells(self) -> int:
-        """Number of cells that have a label in both maps; only these are compared."""
-        return int(np.count_nonzero(~(self.failed_a | self.failed_b)))
+        """Number of cells that are compared."""
+        return int(np.count_nonzero(self.compared))
 
     @property
     @tells("labels differ in", key="cells_differing")
@@ -175,13 +167,13 @@ class Comparison(Record):
     def touches_equal(self) -> int:
         """Number of compared cells with as many touches in A as in B."""
         a, b = (each.arrays["touches"] for each in self.maps)
-        return int(np.count_nonzero(~(self.failed_a | self.failed_b) & (a == b)))
+        return int(np.count_nonzero(self.compared & (a == b)))
 
     @property
     @tells("failed, not compared")
     def failed(self) -> dict[str, int]:
         """Number of cells without a label in A only, in B only, and in both."""
-        a, b = self.failed_a, self.failed_b
+        a, b = self.codes_a == FAILED_CODE, self.codes_b == FAILED_CODE
         counts = {"a_only": a & ~b, "b_only": b & ~a, "both": a & b}
         return {name: int(np.count_nonzero(cells)) for name, cells in counts.items()}
 
@@ -190,6 +182,18 @@ class Comparison(Record):
     def same_regimes(self) -> bool:
         """Whether the two agree in every cell: the same label, or failed in both; never if nothing was compared."""
         return self.cells > 0 and not (self.differing or self.failed["a_only"] or self.failed["b_only"])
+
+    @property
+    @tells("labels that differ")
+    def transitions(self) -> tuple[Transition, ...]:
+        """Pairs of labels in the cells that have two, the most frequent first."""
+        codes = np.stack([self.codes_a[self.differs], self.codes_b[self.differs]])
+        pairs, counts = np.unique(codes, axis=1, return_counts=True)
+        transitions = [
+            Transition(self.labels[i], self.labels[j], count)
+            for (i, j), count in zip(pairs.T.tolist(), counts.tolist(), strict=True)
+        ]
+        return tuple(sorted(transitions, key=lambda each: -each.cells))  # a stable sort: ties in the labels' order
 
     @property
     @tells("cells with two labels")
@@ -222,7 +226,6 @@ def compare(a: Results, b: Results) -> Comparison:
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
     codes_a, codes_b = (codes_among(results, labels) for results in (a, b))
-    differs = (codes_a != codes_b) & (codes_a != FAILED_CODE) & (codes_b != FAILED_CODE)
     equal = (codes_a == codes_b) & (codes_a != FAILED_CODE)
     identical = _bits(a) == _bits(b)
     return Comparison(
@@ -231,7 +234,6 @@ def compare(a: Results, b: Results) -> Comparison:
         codes_a=codes_a,
         codes_b=codes_b,
         flagged=((a.quality | b.quality) & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0,
-        transitions=_transitions(labels, codes_a[differs], codes_b[differs]),
         largest_differences=() if identical else tuple(_largest_differences(a, b, equal)),
         identical=identical,
         configs_equal=a.config_digest == b.config_digest,
@@ -310,14 +312,6 @@ def codes_among(results: Results, labels: tuple[str, ...]) -> Positions:
     code = np.array([*(labels.index(label) for label in results.labels), FAILED_CODE], np.intp)
     codes: Positions = code[results.sequence]
     return codes
-
-
-def _transitions(labels: tuple[str, ...], a: Positions, b: Positions) -> tuple[Transition, ...]:
-    pairs, counts = np.unique(np.stack([a, b]), axis=1, return_counts=True)
-    transitions = [
-        Transition(labels[i], labels[j], count) for (i, j), count in zip(pairs.T.tolist(), counts.tolist(), strict=True)
-    ]
-    return tuple(sorted(transitions, key=lambda each: -each.cells))  # a stable sort: ties in the labels' order
 
 
 def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Difference]:

@@ -286,12 +286,6 @@ class Fitted(Record):
                 f"The ensemble is worth {self.effective:.0f} draws, not {self.fit.effective_draws}: its intervals are "
                 "rough; raise fit.draws."
             )
-        hits = self.predictions[0]
-        rules = {"majority": "the most frequent label", "nearest": "the label of the nearest measurement"}
-        for rule, words in rules.items():
-            if hits[rule] >= hits["predicted"]:
-                predicted = f"The fit predicts {hits['predicted']} of {count} labels"
-                sentences.append(f"{predicted}, and {words} predicts {hits[rule]}.")
         if self.failed:
             sentences.append(f"{self.failed:,} candidates failed at some operating points, which count as missed.")
         return sentences

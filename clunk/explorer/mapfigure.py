@@ -60,27 +60,35 @@ class MapFigure:
         # of one height, or the map would be drawn anew with every text
         look = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
         self.legend = Div(name="legend", height=62, styles=look, sizing_mode="stretch_width", margin=(2, 6, 2, 6))
-        image, bands = source("image", "x", "y", "dw", "dh"), source("x0", "x1", "colour")
-        lines, points, names = source("x", "y"), source("x", "y"), source("text", "x", "y")
-        self._marks = source("x", "y", "colour")
-        self._pointed = source("x", "y", "text", "align", "offset")
+        columns_of = {"image": "image x y dw dh", "bands": "x0 x1 colour", "lines": "x y", "points": "x y"}
+        sources = {name: source(names) for name, names in (columns_of | {"names": "text x y"}).items()}
+        self._marks = source("x y colour")
+        self._pointed = source("x y text align offset")
         shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
         bar = ColorBar(color_mapper=shades, width=10, visible=False)
         plot.add_layout(bar, "right")
-        self.models: dict[str, Model] = {"image": image, "bands": bands, "lines": lines, "points": points}
-        self.models |= {"names": names, "shades": shades, "bar": bar, "y axis": plot.yaxis[0], "legend": self.legend}
+        self.models: dict[str, Model] = {**sources, "shades": shades, "bar": bar, "y axis": plot.yaxis[0]}
+        self.models["legend"] = self.legend
         ring = {"source": self._marks, "level": "overlay"}  # drawn without the rest
         text = {"text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
         if is_map:
-            plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
-            self.models["boundaries"] = plot.line("x", "y", source=lines, color=INK, line_width=0.9).glyph
-            plot.scatter("x", "y", source=points, size=2.5, color=INK)
-            plot.text("x", "y", "text", source=names, text_align="center", **text)
+            plot.image_rgba("image", "x", "y", "dw", "dh", source=sources["image"])
+            self.models["boundaries"] = plot.line("x", "y", source=sources["lines"], color=INK, line_width=0.9).glyph
+            plot.scatter("x", "y", source=sources["points"], size=2.5, color=INK)
+            plot.text("x", "y", "text", source=sources["names"], text_align="center", **text)
             for width, colour in ((6.0, "white"), (2.5, "colour")):
                 plot.scatter("x", "y", size=13, fill_alpha=0.0, line_width=width, line_color=colour, **ring)
         else:
-            plot.vstrip("x0", "x1", source=bands, fill_color="colour", line_color=INK, line_width=0.9, level="underlay")
-            plot.line("x", "y", source=points, color=INK, line_width=1.5)
+            plot.vstrip(
+                "x0",
+                "x1",
+                source=sources["bands"],
+                fill_color="colour",
+                line_color=INK,
+                line_width=0.9,
+                level="underlay",
+            )
+            plot.line("x", "y", source=sources["points"], color=INK, line_width=1.5)
             plot.vspan("x", line_width=2.5, line_color="colour", **ring)
         beside: dict[str, Any] = {"text_align": "align", "x_offset": "offset", "background_fill_color": "white"}
         beside |= {"background_fill_alpha": 0.85, "padding": 3, "level": "overlay", "name": "pointed"}

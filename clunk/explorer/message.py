@@ -29,9 +29,9 @@ class Message:
         self.source.data = {name: [properties] for name, properties in changes.items()}
 
 
-def source(*names: str) -> ColumnDataSource:
-    """Columns of these names, still empty."""
-    return ColumnDataSource(data={name: [] for name in names})
+def source(names: str) -> ColumnDataSource:
+    """Columns of these names, separated by blanks, still empty."""
+    return ColumnDataSource(**columns(names, []))
 
 
 def columns(names: str, rows: list[tuple[Any, ...]]) -> Mapping[str, Any]:

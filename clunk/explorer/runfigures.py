@@ -71,14 +71,14 @@ class RunFigures:
         self._time = Range1d(0.0, 1.0)
         self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
         # all curves of all panels in one source
-        self._curves = source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
+        self._curves = source(" ".join(["colour", *(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy")]))
         unit = [[0.0, 1.0]]  # a line to begin with: without any, ranges are complained of in the browser's console
         self._curves.data = dict.fromkeys(self._curves.data, unit) | {"colour": ["white"]}
         self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
         lash, acceleration = self.figures["lash"], self.figures["acceleration"]
         gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
         lash.add_layout(gap)
-        flanks = source("x", "y", "text", "baseline")
+        flanks = source("x y text baseline")
         lash.text(
             "x",
             "y",
@@ -89,7 +89,7 @@ class RunFigures:
             text_color=FAINT_INK,
             x_offset=4,
         )
-        touches = source("x", "y", "angle", "fill", "colour", "size")
+        touches = source("x y angle fill colour size")
         lash.scatter(
             "x",
             "y",
@@ -100,7 +100,7 @@ class RunFigures:
             size="size",
             angle="angle",
         )
-        arrows = source("x", "low", "high", "text")
+        arrows = source("x low high text")
         acceleration.segment("x", "low", "x", "high", source=arrows, color=INK, line_width=1.0)
         for end, angle in (("low", np.pi), ("high", 0.0)):
             acceleration.scatter("x", end, source=arrows, marker="triangle", size=5, color=INK, angle=angle)

@@ -14,7 +14,7 @@ from clunk.analysis.trends import ExperimentComparison
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
 from clunk.plot.style import INK, LINE_COLOURS, cells_phrase
-from clunk.results.labels import FAILED
+from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
 
@@ -32,10 +32,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
     Raises PlotError unless two axes were swept.
     """
     layers = Layers.of(a, 2)
-    codes_a, codes_b, rest, only_b = map(
-        layers.view.arrange,
-        (comparison.codes_a, comparison.codes_b, comparison.differs, comparison.failed_b & ~comparison.failed_a),
-    )
+    codes_a, codes_b, rest = map(layers.view.arrange, (comparison.codes_a, comparison.codes_b, comparison.differs))
     rest = rest.copy()
     marks = []
     for transition, colour in zip(comparison.transitions, LINE_COLOURS[:_MARKED], strict=False):
@@ -45,7 +42,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
         marks.append((f"{transition.a} → {transition.b}", cells, colour))
     rare = len(comparison.transitions) - len(marks)
     marks.append((f"{rare} other transition{'' if rare == 1 else 's'}", rest, _RARE_COLOUR))
-    marks.append((f"{FAILED} in B only", only_b, INK))
+    marks.append((f"{FAILED} in B only", (codes_b == FAILED_CODE) & (codes_a != FAILED_CODE), INK))
     paint = 255.0 - _PALE * (255.0 - layers.region_colours)
     notes = []
     for text, cells, colour in marks:
