@@ -17,7 +17,6 @@ from clunk.plot.layers import Layers
 from clunk.plot.maps import cell_colours, shades_of
 from clunk.plot.plane import Codes, cells_of, ruler, value_text
 from clunk.plot.style import FAILED_FILL, INK, LINE_COLOURS, bare, capital
-from clunk.results.labels import FAILED
 from clunk.results.quantities import YES_NO
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
@@ -131,7 +130,6 @@ class MapFigure:
         gap = np.full((1, 2), np.nan)
         line = np.concatenate([part for each in layers.lines for part in (each, gap)] or [gap])
         is_light = layers.shaded and layers.has_light_lines
-        notes = [note.text for note in layers.notes]
         changes: Changes = {
             "image": {"data": image},
             "lines": {"data": {"x": line[:, 0], "y": line[:, 1]}},
@@ -139,7 +137,7 @@ class MapFigure:
             "names": columns("text x y", [] if layers.shaded else _names(regions, layers, x, y)),
             "boundaries": {"line_color": "white" if is_light else INK},
             "bar": {"visible": layers.shaded, "title": layers.value_label},
-            "legend": {"text": _legend(layers, [*notes, *self._peak(layers)])},
+            "legend": {"text": _legend(layers, self._peak(layers))},
         }
         if shades is not None:
             (bottom, top), colours = shades.get_clim(), shades.get_cmap()(np.linspace(0.0, 1.0, _SHADES))
@@ -189,17 +187,15 @@ def _title(axis: ResultAxis) -> str:
 
 def _legend(layers: Layers, notes: Sequence[str]) -> str:
     """Regions that are large enough to be seen, with their colours and shares of the map, and notes."""
-    square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>'
-    swatch = f'<span style="white-space: nowrap">{square}&nbsp;{{}}&nbsp;{{:.3g}} %</span>'
-    seen = {*layers.seen, FAILED}
-    regions = zip((*layers.names, FAILED), (*layers.colours, FAILED_FILL), layers.shares.tolist(), strict=True)
+    square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>&nbsp;{}'
     entries = [
-        swatch.format(colour, escape(name), 100.0 * share) for name, colour, share in regions if share and name in seen
+        f'<span style="white-space: nowrap">{square.format(note.colour, escape(note.text))}</span>'
+        if note.colour
+        else escape(note.text)
+        for note in layers.legend(layers.seen)
     ]
     if len(entries) > _LISTED:
         entries[_LISTED:] = [f"and {len(entries) - _LISTED} more"]
-    if len(layers.doubts) and len(layers.view.axes) > 1:
-        entries.append(f"● undecided: {len(layers.doubts):,} cells")
     return " &nbsp; ".join([*entries, *map(escape, notes)])
 
 

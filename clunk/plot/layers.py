@@ -13,14 +13,15 @@ from scipy import ndimage
 
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.plane import Codes, View, cell_edges, cells_of, value_text
-from clunk.plot.style import FAILED_FILL, PlotError, cells_phrase, colour_of, group_colour, shades
+from clunk.plot.style import FAILED_FILL, UNDEFINED, PlotError, cells_phrase, colour_of, group_colour, shades
 from clunk.results.boundaries import Boundaries
-from clunk.results.labels import FAILED_CODE, double_sided
+from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.quantities import LABEL, NUMBER, TEXT, YES_NO, Quantity, quantity_of
 from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
 from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
+from clunk.study.records import counted
 
 MOST_LABELS = 16  # that are told apart: more are grouped by their number of double-sided impacts
 _SEEN = 5e-6  # of a map's area, some pixels: a smaller region has no name
@@ -240,6 +241,29 @@ class Layers:
     def seen(self) -> list[str]:
         """Names of the regions that are large enough to be seen."""
         return [name for name, share in zip(self.names, self.shares, strict=False) if share >= _SEEN]
+
+    def legend(self, names: Sequence[str], *, is_counted: bool = True) -> list[Note]:
+        """Notes on regions of these names, on cells that failed, have no value or are dotted, and the map's own.
+
+        is_counted : whether they say how much of the map it is
+        """
+
+        def text(name: str, count: str) -> str:
+            return f"{name}: {count}" if is_counted else name
+
+        regions = zip(self.names, self.colours, self.shares.tolist(), strict=False)
+        shown = set(names) & set(self.seen)
+        notes = [Note(text(name, f"{100 * share:.2g} %"), colour) for name, colour, share in regions if name in shown]
+        if failed := int(np.count_nonzero(self.failed)):
+            notes.append(Note(text(FAILED, cells_phrase(failed)), FAILED_FILL))
+        if self.shaded and self.values is not None and (np.isnan(self.values) & ~self.failed).any():
+            why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
+            notes.append(Note(why, UNDEFINED))
+        if undecided := int(np.count_nonzero(self.undecided)):
+            notes.append(Note(text("● undecided", cells_phrase(undecided)), ""))
+        if len(self.unresolved):
+            notes.append(Note(text("● lines unresolved", counted(len(self.unresolved), "place")), ""))
+        return [*notes, *self.notes]
 
     @property
     def bands(self) -> tuple[Floats, Codes]:

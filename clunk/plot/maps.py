@@ -35,7 +35,6 @@ from clunk.plot.style import (
     PlotError,
     add_notes,
     bare,
-    cells_phrase,
     lay_out,
     new_panels,
     remark,
@@ -47,7 +46,6 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import LABEL, NUMBER, WHOLE, YES_NO
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
-from clunk.study.records import counted
 
 POINT = 6.5  # points, diameter of a measured point
 POINT_LOOKS: dict[bool, dict[str, Any]] = {  # of points that agree, and that do not
@@ -232,26 +230,15 @@ def notes_of(layers: Layers, names: Sequence[str] = (), *, is_counted: bool = Tr
     is_counted : whether they say how much of the map it is
     """
 
-    def text(name: str, count: str) -> str:
-        return f"{name}: {count}" if is_counted else name
-
-    notes: list[Artist] = []
-    for name, colour, share in zip(layers.names, layers.colours, layers.shares.tolist(), strict=False):
-        if name in names and name in layers.seen:
-            notes.append(swatch(text(name, f"{100.0 * share:.2g} %"), colour))
-    failed, undecided = (int(np.count_nonzero(cells)) for cells in (layers.failed, layers.undecided))
-    if failed:
-        notes.append(swatch(text(FAILED, cells_phrase(failed)), FAILED_FILL))
-    if layers.shaded and layers.values is not None and (np.isnan(layers.values) & ~layers.failed).any():
-        notes.append(swatch("not known" if layers.quantity.name == "margin" else "not defined (no events)", UNDEFINED))
+    notes: list[Artist] = [
+        swatch(*note) if note.colour else remark(note.text) for note in layers.legend(names, is_counted=is_counted)
+    ]
     if layers.points:
-        agreeing = f"{sum(point.agrees for point in layers.points)} of {len(layers.points)}"
-        looks = {text("measured, agrees", agreeing): POINT_LOOKS[True], "measured, differs": POINT_LOOKS[False]}
-        notes += [Line2D([], [], linestyle="none", label=label, **look) for label, look in looks.items()]
-    doubts = {text("undecided", cells_phrase(undecided)): undecided}
-    doubts[text("lines unresolved", counted(len(layers.unresolved), "place"))] = len(layers.unresolved)
-    notes += [Line2D([], [], **_DOUBT, markersize=3.0, label=label) for label, count in doubts.items() if count]
-    return [*notes, *(swatch(*note) if note.colour else remark(note.text) for note in layers.notes)]
+        agreeing = sum(point.agrees for point in layers.points)
+        agrees = f"measured, agrees: {agreeing} of {len(layers.points)}" if is_counted else "measured, agrees"
+        for label, look in ((agrees, POINT_LOOKS[True]), ("measured, differs", POINT_LOOKS[False])):
+            notes.append(Line2D([], [], linestyle="none", label=label, **look))
+    return notes
 
 
 def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> list[Artist]:
