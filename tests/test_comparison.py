@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.maps import map_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -55,32 +56,15 @@ def make(names: Any, axes: Sequence[ResultAxis], order: Sequence[str] | None = N
     sequence = np.array([code[name] for name in names.ravel()], np.int16).reshape(shape)
     severity = np.array([1000.0 * IMPACTS.get(name, 1) for name in names.ravel()]).reshape(shape)
     severity[sequence < 0] = np.nan
-    arrays: dict[str, Any] = {
-        "sequence": sequence,
+    given: dict[str, Any] = {
+        "config": CONFIG,
+        "digest": "a1",
+        "attributes": {"clunk_version": "0.1.0", "created": "2026-01-02"},
         "severity": severity,
         "approach_velocity": severity / 500.0,
-        "last_event_time": np.zeros(shape),
-        "primary_impacts": np.zeros(shape, np.int32),
-        "touches": np.zeros(shape, np.int32),
-        "status": (sequence < 0).astype(np.uint8),
         "quality": np.zeros(shape, np.uint8),
-        "initial_side": np.zeros(shape, np.int8),
-        "margin": np.full(shape, np.nan),
-        "impact_time": np.zeros(0),
-        "impact_flank": np.zeros(0, np.int8),
-        "impact_closing_speed": np.zeros(0),
-        "impact_severity": np.zeros(0),
     }
-    fields: dict[str, Any] = {
-        "title": "Map",
-        "axes": tuple(axes),
-        "labels": labels,
-        "config": CONFIG,
-        "config_digest": "a1",
-        "attributes": {"clunk_version": "0.1.0", "created": "2026-01-02"},
-    }
-    arrays |= {name: changes.pop(name) for name in arrays if name in changes}
-    return Results(**(fields | changes), arrays=arrays)
+    return map_of(axes, labels, sequence, **(given | changes))
 
 
 def regimes(ratio: float, backlash: float, shift: float = 0.0) -> str:
@@ -196,7 +180,7 @@ def test_maps_of_other_grids_are_refused_in_one_sentence(axes: tuple[ResultAxis,
 def test_configs_and_versions_are_compared_key_by_key_and_titles_and_dates_decide_nothing() -> None:
     other = CONFIG.replace("0.002", "0.02").replace('"indentation"', '"restitution"\nrestitution = 0.5')
     versions = {"clunk_version": "0.2.0", "created": "2027-01-02"}
-    comparison = compare(small(A), small(A, config=other, config_digest="b2", attributes=versions))
+    comparison = compare(small(A), small(A, config=other, digest="b2", attributes=versions))
     assert comparison.provenance_differences == {"clunk_version": {"a": "0.1.0", "b": "0.2.0"}}
     assert comparison.config_differences == {
         "driveline.inertias[2]": {"a": 0.002, "b": 0.02},
@@ -221,7 +205,7 @@ def awkward() -> tuple[Results, Results]:
     for title in ("x" * 70, "y" * 70):
         config = CONFIG.replace("Map", title).replace("0.002", "2e-3" if title[0] == "x" else "3e-3")
         names = rng.choice(np.array(labels, dtype=object), (12, 9))
-        maps.append(small(names, title=title, config=config, config_digest=title[0]))
+        maps.append(small(names, title=title, config=config, digest=title[0]))
     return maps[0], maps[1]
 
 
@@ -470,7 +454,7 @@ def assert_no_text_on_points(figure: Any) -> None:
 
 
 def test_difference_map_marks_every_differing_cell_once() -> None:
-    a, b = like_figure_3_4(), like_figure_3_4(0.3, config=CONFIG.replace("0.002", "0.003"), config_digest="b2")
+    a, b = like_figure_3_4(), like_figure_3_4(0.3, config=CONFIG.replace("0.002", "0.003"), digest="b2")
     comparison = compare(a, b)
     assert 10 < comparison.differing < 0.1 * a.sequence.size
     figure = difference_map(a, comparison)

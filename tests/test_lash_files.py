@@ -7,6 +7,7 @@ import re
 import h5py
 import numpy as np
 import pytest
+from helpers.maps import map_of
 from scipy.io import loadmat
 from test_store import padded
 
@@ -14,7 +15,6 @@ import clunk
 from clunk.results import export
 from clunk.results.export import save_history
 from clunk.results.quantities import CELL_QUANTITIES, REGIME_QUANTITIES
-from clunk.results.regimemap import Results
 from clunk.simulation.history import sample
 from clunk.study.axes import ResultAxis, lash_axis
 
@@ -31,26 +31,22 @@ def made(seed=1, shape=(5, 4), lashes=2):
     )
     sequence = rng.integers(0, 4, (*shape, lashes)).astype(np.int16)
     impacts = np.array([0, 1, 1, 2], np.int32)[sequence]
-    fields = {name: rng.random(sequence.shape) for name in ("severity", "approach_velocity", "margin")}
-    fields |= {name: rng.random(impacts.sum()) for name in ("impact_time", "impact_closing_speed", "impact_severity")}
-    return Results(
+    arrays = {
+        name: rng.random(sequence.shape) for name in ("severity", "approach_velocity", "last_event_time", "margin")
+    }
+    arrays |= {name: rng.random(impacts.sum()) for name in ("impact_time", "impact_closing_speed", "impact_severity")}
+    arrays["quality"] = np.repeat(rng.integers(0, 4, (*shape, 1)).astype(np.uint8), lashes, axis=-1)
+    return map_of(
+        axes,
+        ("NI", "SS(1)", "DS(1)", "DS(1)SS(1)"),
+        sequence,
         title="Two lashes",
-        axes=axes,
-        labels=("NI", "SS(1)", "DS(1)", "DS(1)SS(1)"),
         config='title = "Two lashes"\n',
-        config_digest="0" * 64,
-        attributes={},
-        arrays={
-            "sequence": sequence,
-            "primary_impacts": impacts,
-            "touches": impacts + np.int32(1),
-            "last_event_time": rng.random(sequence.shape),
-            "status": np.zeros(sequence.shape, np.uint8),
-            "quality": np.repeat(rng.integers(0, 4, (*shape, 1)).astype(np.uint8), lashes, axis=-1),
-            "initial_side": np.ones(sequence.shape, np.int8),
-            "impact_flank": rng.choice([-1, 1], impacts.sum()).astype(np.int8),
-            **fields,
-        },
+        digest="0" * 64,
+        primary_impacts=impacts,
+        touches=impacts + np.int32(1),
+        impact_flank=rng.choice([-1, 1], impacts.sum()).astype(np.int8),
+        **arrays,
     )
 
 

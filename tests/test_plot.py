@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from helpers.maps import map_of
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -35,32 +36,14 @@ CONFIG = '[load]\nprofile = "step"\n'
 
 
 def make(axes: tuple[ResultAxis, ...], labels: tuple[str, ...], sequence: np.ndarray, severity: np.ndarray) -> Results:
-    shape = sequence.shape
-    impacts = np.where(sequence < 0, 0, 1).astype(np.int32)
-    count = int(impacts.sum())
-    return Results(
+    return map_of(
+        axes,
+        labels,
+        sequence,
         title="Regimes of the nominal driveline",
-        axes=axes,
-        labels=labels,
         config=CONFIG,
-        config_digest="",
-        attributes={},
-        arrays={
-            "sequence": sequence.astype(np.int16),
-            "severity": severity.astype(float),
-            "approach_velocity": np.ones(shape),
-            "last_event_time": np.where(severity > 0.0, 0.5, np.nan),
-            "primary_impacts": impacts,
-            "touches": np.full(shape, 3, np.int32),
-            "status": np.where(sequence < 0, 3, 0).astype(np.uint8),
-            "quality": np.ones(shape, np.uint8),
-            "initial_side": -np.ones(shape, np.int8),
-            "margin": np.where(sequence < 0, np.nan, 0.1 - 0.05 * (sequence % 4)),
-            "impact_time": np.ones(count),
-            "impact_flank": np.ones(count, np.int8),
-            "impact_closing_speed": np.ones(count),
-            "impact_severity": np.ones(count),
-        },
+        severity=severity.astype(float),
+        last_event_time=np.where(severity > 0.0, 0.5, np.nan),
     )
 
 
