@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import clunk
 from clunk.analysis import fitting
-from clunk.analysis.fitruns import MATCH, label_of, losses, outlier_misfit, partners
+from clunk.analysis.fitruns import MATCH, label_of, losses, outlier_misfit
 from clunk.analysis.fitted import effective_size, fitted_study, order_of_events, weights_of
 from clunk.analysis.fitting import sample
 from clunk.analysis.measurements import Experiment, experiment_of
@@ -92,11 +92,6 @@ def test_a_miss_more_costs_less_where_many_are_missed_and_grows_with_the_distanc
     assert losses(far, wanted, fit)[5] - losses(matches, wanted, fit)[5] == pytest.approx(0.2 / fit.scatter)
 
 
-def test_impacts_of_two_sequences_correspond_by_their_flanks() -> None:
-    assert partners((1, -1, -1), (1, -1, 1, -1, -1)) in ({0: 2, 1: 3, 2: 4}, {0: 0, 1: 1, 2: 4})
-    assert partners((-1,), ()) == {}
-
-
 @pytest.mark.parametrize(
     ("measured", "computed", "words"),
     [
@@ -118,18 +113,6 @@ def test_a_fit_recovers_the_scale_of_the_gap(measured: Experiment) -> None:
     assert high - low < 0.1  # eight times known to 0.5 ms leave about 0.05, a single one 0.15
     assert fitted.estimate[0] == pytest.approx(TRUE_GAP, abs=0.05)
     assert fitted.combinations[0][0] < 0.3
-
-
-def test_maps_of_a_fit_count_the_labels_of_runs_and_not_of_nearest_cells(measured: Experiment) -> None:
-    study = study_from_text(
-        RIG + SMALL + GAP + AXES.format("load.ratio", [2.0, 9.0]) + AXES.format("lash.backlash_deg", [3.0, 8.0])
-    )
-    fitted = fitting.fit(study, measured)
-    titles = [ax.get_title(loc="left") for ax in clunk.draw(fitted).axes[:2]]
-    assert titles == [
-        f"nominal: {fitted.hits(fitted.nominal_matches['pattern'])} of 8 labels",
-        f"fitted: {fitted.met} of 8 labels",
-    ]
 
 
 def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Experiment) -> None:

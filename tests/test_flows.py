@@ -1,7 +1,6 @@
-"""The exact flows' tables against the matrix exponential, and the bounds that the exact method rests on.
+"""The bounds that the exact method rests on, and runs of drivelines with modes, drifts and flows without an eigenbasis.
 
-Every case is a driveline whose open and closed side are compared: modes, drifts and flows that have no eigenbasis. Each
-lane has a state of its own.
+Every case is a driveline with its open and its closed side. Each lane has a state of its own.
 """
 
 from dataclasses import replace
@@ -13,24 +12,18 @@ from numpy.polynomial.polynomial import polyder, polyint, polyval
 from scipy.linalg import expm
 
 from clunk.core.exact import curves, moving, taylor
-from clunk.core.exact.flows import BLOCK, CROSS, JERK, SPANS, TERMS
+from clunk.core.exact.flows import BLOCK, CROSS, SPANS, TERMS
 from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
-from clunk.core.lanes.vectors import ROW, WIDTH
+from clunk.core.lanes.vectors import WIDTH
 from clunk.core.tables import ACCELERATION, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 
-# Rounding of a few products of tables that are each good to some 1e-15; |λ| T reaches 1e3 in the longest span compared,
-# and an angle that large is known to 1e3 eps, a modal basis to its condition (up to 1e4) times eps.
+# Rounding of a few products of tables that are each good to some 1e-15, and a modal basis to its condition (up to 1e4).
 TIGHT = 1e-11
 OPEN, CLOSED = 0, 1
-
-
-@compiled
-def move(generator, modes, parts, work, size, room):
-    moving.move(generator, modes, vectors.load(parts, 0), work, size, room)
 
 
 @compiled
@@ -44,27 +37,9 @@ def jump(propagated, work, size):
 
 
 @compiled
-def observe(watch, output, f, steady, work, size, inputs, times, results):
-    """Value, slope and curvature of a functional, its origin included."""
-    seen, _ = curves.evaluate(watch, work, size, False)
-    functionals, driven = output.shape[1:]
-    origin = curves.origin(output, f, functionals, inputs, 0, driven, steady, True, vectors.load(times, 0))
-    vectors.store(results, 0, seen.value + origin.value)
-    vectors.store(results, 1, seen.slope + origin.slope)
-    vectors.store(results, 2, seen.curvature + origin.curvature)
-
-
-@compiled
 def bound(watch, work, size, results):
     seen, sway = curves.evaluate(watch, work, size, True)
     vectors.store(results, 0, (seen.jerk, seen.sixth, sway))
-
-
-@compiled
-def expand(series, work, size, shortest, sides, rest, c):
-    sign, shift = vectors.load(sides, 0), vectors.load(sides, 1)
-    origin = curves.Origin(vectors.load(rest, 0), vectors.load(rest, 1), vectors.load(rest, 2), vectors.load(rest, 3))
-    taylor.expand(series, work, size, vectors.splat(shortest), sign, shift, origin, c)
 
 
 @compiled
@@ -102,11 +77,6 @@ def sizes(y):
     """(…, C/2, W): the amplitude of each pair."""
     halves = y.reshape(*y.shape[:-2], -1, 2, BLOCK, y.shape[-1])
     return np.hypot(halves[..., 0, :, :], halves[..., 1, :, :]).reshape(*y.shape[:-2], -1, y.shape[-1])
-
-
-def dealt(*values):
-    """Rows of one value for each lane, until each lane has had each."""
-    return [np.resize(np.roll(values, k), WIDTH) for k in range(len(values))]
 
 
 def holds(bits):
@@ -197,12 +167,6 @@ class Flow:
         """States turned by angles of the first inertia that rolls, (W,)."""
         return x + np.outer(self.rolling[:, 0], angles) if self.rolling.size else x
 
-    def moved(self, x, u, times):
-        """exp of the augmented matrix: the states after times."""
-        across = expm(self.augmented * np.reshape(times, (-1, 1, 1)))
-        z = np.vstack((x, u)) / self.units
-        return (self.units * (across @ z.T[..., None])[..., 0].T)[: self.size]
-
     def trajectory(self, x, u, length, count=500):
         """(count + 1, 2n, W): the states over a time, evenly spaced."""
         across, z = expm(self.augmented * length / count), [np.vstack((x, u)) / self.units]
@@ -219,37 +183,15 @@ class Flow:
         measure(work, self.count)
         return work
 
-    def move(self, work, parts):
-        move(self.generator, self.is_modal, parts, work, self.count, np.zeros((2 * self.count, WIDTH)))
-
     def jump(self, work, k):
         """Each lane by another span."""
         jump(np.ascontiguousarray(self.propagator[k].reshape(WIDTH, -1).T), work, self.count)
-
-    def leave(self, work, u, times):
-        value, slope, curvature, _ = self.origin @ u
-        x = value + times * (slope + 0.5 * times * curvature) + (self.basis.T @ work[: self.count])[: self.size]
-        angles = x[self.first].copy()
-        if self.rolling.size:
-            x[self.first] = 0.0
-        return self.rolled(x, angles)
-
-    def observe(self, f, work, u, times):
-        """(3, W)."""
-        results = np.zeros((3, WIDTH))
-        observe(self.watch[f], self.origin_output, f, bool(self.steady), work, self.count, u, times, results)
-        return results
 
     def bounds(self, f, work):
         """(3, W): of the third and the sixth derivative, and of the value less its origin."""
         results = np.zeros((3, WIDTH))
         bound(self.watch[f], work, self.count, results)
         return results
-
-    def weights(self, f):
-        """(3, C): what multiplies the coordinates to a functional, its slope and its curvature."""
-        blocks = self.watch[f, :, :JERK].reshape(-1, 3, ROW)
-        return np.moveaxis(blocks, 1, 0).reshape(3, -1)
 
     def output(self, x, u):
         """(…, F, W): the functionals."""
@@ -267,73 +209,11 @@ class Flow:
         together = np.abs(np.array(states))
         return np.repeat([together[:, :n].max(axis=(0, 1)), together[:, n:].max(axis=(0, 1))], n, axis=0)
 
-    def output_scale(self, u, *states):
-        """(F, W): as large as the terms of the functionals get."""
-        return np.abs(self.functionals) @ self.scale(*states, self.origin[0] @ u) + np.abs(self.feedthrough @ u)
-
-    def derivatives(self, x, u, count):
-        """(count, F, W): the functionals and their derivatives."""
-        values, rate = [self.output(x, u)], self.rates @ x + self.inputs @ u
-        for _ in range(1, count):
-            values.append(self.functionals @ rate)
-            rate = self.rates @ rate
-        return np.array(values)
-
 
 @pytest.fixture(params=[(name, which) for name in PLANTS for which in (OPEN, CLOSED)], ids=lambda p: f"{p[0]}, {p[1]}")
 def flow(request):
     name, which = request.param
     return Flow(PLANTS[name], which)
-
-
-def test_a_span_is_the_matrix_exponential(flow):
-    """Spans up to a thousand radians of the fastest mode; a flow without modes knows the shortest only.
-
-    scipy's expm squares ten times for a thousand radians and is then 1.3e-11 off, by 40 digits; the span 5e-16.
-    """
-    x, u = flow.starts()
-    known = np.flatnonzero(flow.span * flow.fastest <= 1e3) if flow.is_modal else np.zeros(1, int)
-    for first in range(0, SPANS, WIDTH // 2):
-        k = known[(first + np.arange(WIDTH)) % known.size]
-        work = flow.enter_lanes(x, u)
-        if flow.is_modal:
-            flow.jump(work, k)
-        else:
-            flow.move(work, np.ones(WIDTH))
-        exact = flow.moved(x, u, flow.span[k])
-        scale = flow.scale(x, exact, flow.origin[0] @ u)
-        assert np.all(
-            np.abs(flow.leave(work, u, flow.span[k]) - exact)
-            <= TIGHT * np.maximum(flow.span[k] * flow.fastest / 100.0, 1.0) * scale
-        )
-
-
-def test_value_slope_and_curvature_are_the_functionals(flow):
-    """At entry and after a while, against C A^k (A x + B u) of the state."""
-    x, u = flow.starts()
-    size, pace = flow.output_scale(u, x), flow.pace ** np.arange(3)[:, None]
-    for parts in dealt(0.0, 0.7, 1.0):
-        work, times = flow.enter_lanes(x, u), parts * flow.span[0]
-        flow.move(work, parts)
-        exact = flow.derivatives(flow.moved(x, u, times), u, 3)
-        rest = flow.output_origin(u, times)
-        for f in range(len(flow.watch)):
-            rounding = TIGHT * (size[f] + np.abs(rest[0, f])) * pace
-            assert np.all(np.abs(flow.observe(f, work, u, times) - exact[:, f]) <= rounding)
-
-
-def test_the_series_is_the_functional_over_the_shortest_span(flow):
-    """Of sign times the functional plus shift."""
-    x, u = flow.starts()
-    work, rest, size = flow.enter_lanes(x, u), flow.output_origin(u, 0.0), flow.output_scale(u, x)
-    signs, shifts = dealt(1.0, -1.0)[0], np.linspace(-1.0, 1.0, WIDTH)
-    for f in range(len(flow.watch)):
-        c = np.full((TERMS, WIDTH), np.nan)
-        origin = np.ascontiguousarray(rest[:, f])
-        expand(flow.series[f], work, flow.count, flow.span[0], np.array([signs, shifts]), origin, c)
-        for s in (0.0, 0.25, 1.0):
-            exact = signs * flow.output(flow.moved(x, u, s * flow.span[0]), u)[f] + shifts
-            assert np.all(np.abs(polyval(s, c) - exact) <= TIGHT * (size[f] + np.abs(shifts)))
 
 
 def drifts(flow):

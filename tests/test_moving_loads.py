@@ -105,15 +105,6 @@ def test_knots_on_a_straight_line_change_nothing():
     assert other.margin == pytest.approx(one.margin, abs=1e-10)
 
 
-@pytest.mark.parametrize("method", ["exact", "rk4"])
-def test_a_table_of_two_torques_is_the_ramp_to_the_bit(method):
-    one, other = (
-        exact(replace(NOMINAL, profile=profile), method=method)
-        for profile in (ramp(0.1), table((0.0, 0.1), (-6.0, -1.0)))
-    )
-    assert np.array_equal(one.events, other.events)
-
-
 def test_a_short_ramp_is_a_step_half_its_duration_later():
     """Up to the square of the duration, of which the chatter of the first impact makes up to 20 times as much.
 

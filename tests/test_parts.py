@@ -198,21 +198,6 @@ def test_a_second_writer_is_refused_at_once(study, target):
         pass
 
 
-def test_a_disk_that_is_full_is_a_sentence_and_what_was_kept_stays(study, whole, target, often, monkeypatch):
-    kept = stopped(study, target, 60)
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patch, WorkingDirectory(target) as directory:
-        patch.setattr(os, "fsync", full)
-        with pytest.raises(PartsError, match="no space left on device; the same command goes on"):
-            Job(study, directory=directory).run()
-    results, parts = resumed(study, target)
-    assert parts.taken_up == kept
-    assert equal(results, whole)
-
-
 # --- killed
 
 RUN = """

@@ -273,68 +273,35 @@ def assert_sentence(error: ClunkError, path: Path, part: str) -> None:
     assert ". " not in text
 
 
-def _truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+def changed(change: Callable[[h5py.File], object], mode: str = "r+") -> Callable[[Path], None]:
+    """What changes a file by its open HDF5."""
 
-
-def _edit(name: str, index: object, value: object) -> object:
     def edit(path: Path) -> None:
-        with h5py.File(path, "r+") as file:
-            file[name][index] = value
+        with h5py.File(path, mode) as file:
+            change(file)
 
     return edit
 
 
-def _set_attribute(name: str, value: object) -> object:
-    def edit(path: Path) -> None:
-        with h5py.File(path, "r+") as file:
-            file.attrs[name] = value
-
-    return edit
-
-
-def _drop(name: str) -> object:
-    def edit(path: Path) -> None:
-        with h5py.File(path, "r+") as file:
-            del file[name]
-
-    return edit
-
-
-def _drop_attribute(name: str) -> object:
-    def edit(path: Path) -> None:
-        with h5py.File(path, "r+") as file:
-            del file.attrs[name]
-
-    return edit
-
-
-def _shorten(path: Path) -> None:
-    with h5py.File(path, "r+") as file:
-        del file["touches"]
-        file["touches"] = np.zeros((5, 3), np.int32)
-
-
-def _resize(name: str) -> Callable[[Path], None]:
+def claims(file: h5py.File, name: str) -> None:
     """Make a variable claim 10^12 rows, none of which is written."""
-
-    def edit(path: Path) -> None:
-        with h5py.File(path, "r+") as file:
-            was = file[name]
-            rest, dtype, scales = was.shape[1:], was.dtype, [dim[0] for dim in was.dims if len(dim)]
-            del file[name]
-            new = file.create_dataset(name, (10**12, *rest), dtype, chunks=(1000, *rest))
-            if not scales:
-                new.make_scale(name)
-            for dimension, scale in zip(new.dims, scales, strict=False):
-                dimension.attach_scale(scale)
-
-    return edit
+    was = file[name]
+    rest, dtype, scales = was.shape[1:], was.dtype, [dim[0] for dim in was.dims if len(dim)]
+    del file[name]
+    new = file.create_dataset(name, (10**12, *rest), dtype, chunks=(1000, *rest))
+    if not scales:
+        new.make_scale(name)
+    for dimension, scale in zip(new.dims, scales, strict=False):
+        dimension.attach_scale(scale)
 
 
-def _foreign(path: Path) -> None:
-    with h5py.File(path, "w") as file:
-        file["x"] = 1.0
+def set_to(name: str, at: object, value: object) -> Callable[[Path], None]:
+    return changed(lambda file: file[name].__setitem__(at, value))
+
+
+def shorten(file: h5py.File) -> None:
+    del file["touches"]
+    file["touches"] = np.zeros((5, 3), np.int32)
 
 
 BROKEN = {
@@ -342,20 +309,23 @@ BROKEN = {
     "directory": (lambda path: (path.unlink(), path.mkdir()), "is a directory"),
     "empty": (lambda path: path.write_bytes(b""), "not HDF5"),
     "text": (lambda path: path.write_text("σr, φθ\n"), "not HDF5"),
-    "foreign HDF5": (_foreign, "although it is HDF5"),
-    "other schema": (_set_attribute("schema_version", np.int32(7)), "has schema version 7, and this clunk reads"),
-    "truncated": (_truncate, "truncated file"),
-    "a value changed": (_edit("severity", (1, 1), -1.0), "content_digest"),
-    "an impact changed": (_edit("impact_time", (0, 1, 0), -1.0), "content_digest"),
-    "negative count": (_edit("primary_impacts", (0, 0), -1), "damaged"),
-    "huge count": (_edit("primary_impacts", (0, 0), 2**31 - 1), "damaged"),
-    "unknown code": (_edit("sequence", (0, 0), 99), "content_digest"),
-    "variable gone": (_drop("quality"), "damaged"),
-    "axis gone": (_drop("load_ratio"), "damaged"),
-    "other shape": (_shorten, "damaged"),
-    "more rows than its axis": (_resize("quality"), "claims more values than its bytes can hold"),
-    "an axis that claims more than is there": (_resize("load_ratio"), "claims more values than its bytes can hold"),
-    "no config": (_drop_attribute("config"), "damaged"),
+    "foreign HDF5": (changed(lambda file: file.create_dataset("x", data=1.0), "w"), "although it is HDF5"),
+    "other schema": (
+        changed(lambda file: file.attrs.__setitem__("schema_version", np.int32(7))),
+        "has schema version 7, and this clunk reads",
+    ),
+    "truncated": (lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]), "truncated file"),
+    "a value changed": (set_to("severity", (1, 1), -1.0), "content_digest"),
+    "an impact changed": (set_to("impact_time", (0, 1, 0), -1.0), "content_digest"),
+    "negative count": (set_to("primary_impacts", (0, 0), -1), "damaged"),
+    "huge count": (set_to("primary_impacts", (0, 0), 2**31 - 1), "damaged"),
+    "unknown code": (set_to("sequence", (0, 0), 99), "content_digest"),
+    "variable gone": (changed(lambda file: file.__delitem__("quality")), "damaged"),
+    "axis gone": (changed(lambda file: file.__delitem__("load_ratio")), "damaged"),
+    "other shape": (changed(shorten), "damaged"),
+    "more rows than its axis": (changed(lambda file: claims(file, "quality")), "claims more values than its bytes can"),
+    "an axis that claims more": (changed(lambda file: claims(file, "load_ratio")), "claims more values than its bytes"),
+    "no config": (changed(lambda file: file.attrs.__delitem__("config")), "damaged"),
 }
 
 
