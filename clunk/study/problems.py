@@ -75,9 +75,9 @@ def shorten(value: object, width: int = 40) -> str:
     return cut(text, width)
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The known name that `name` most likely means, if any."""
-    return next(iter(difflib.get_close_matches(name[:100].lower(), list(known), n=1, cutoff=0.6)), None)
+def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """The known name that `name` most likely means, if any is alike enough, up to 1."""
+    return next(iter(difflib.get_close_matches(name[:100].lower(), list(known), n=1, cutoff=cutoff)), None)
 
 
 def listing(names: Sequence[str], last: str = "and") -> str:

@@ -289,20 +289,16 @@ def _broken_at(case: Case, config: Config, document: Mapping[str, Any]) -> Findi
 
 def _axes(config: Config) -> Iterator[list[dict[str, Reach]]]:
     """The least and greatest values of each axis; of axes that are walked together, those of all."""
-    axes = config.sweep.axes if config.sweep is not None else ()
-    walked = config.sweep is not None and config.sweep.design == "zip"
-    cases: dict[int, dict[str, Reach]] = {}
-    for k, axis in enumerate(axes):
-        extremes = _extremes(axis.grid, located(config, axis.parameter)[1].whole)
-        for other in axes[:k] if walked else ():  # two times may not change places
-            apart = axis.grid - other.grid
-            extremes += [int(apart.argmin()), int(apart.argmax())]
-        if not walked:
-            yield [{axis.parameter: _on_axis(axis, k, position)} for position in dict.fromkeys(extremes)]
-        for position in extremes if walked else ():
-            cases[position] = {each.parameter: _on_axis(each, n, position) for n, each in enumerate(axes)}
-    if walked:
-        yield [*cases.values()]
+    axes = [*enumerate(config.sweep.axes)] if config.sweep is not None else []
+    for group in [axes] if config.sweep is not None and config.sweep.design == "zip" else [[each] for each in axes]:
+        positions = [
+            position for _, axis in group for position in _extremes(axis.grid, located(config, axis.parameter)[1].whole)
+        ]
+        for (_, one), (_, other) in combinations(group, 2):  # two times may not change places
+            positions += _extremes(one.grid - other.grid)
+        yield [
+            {axis.parameter: _on_axis(axis, k, position) for k, axis in group} for position in dict.fromkeys(positions)
+        ]
 
 
 def _extremes(values: Floats, whole: bool = False) -> list[int]:

@@ -115,23 +115,10 @@ def refuse_points(study: Study, parameters: Sequence[str], values: Floats) -> No
 
 
 def content(study: Study) -> dict[str, Any]:
-    """A study as plain tables, lists and values, without what is left out."""
+    """A study as plain tables, lists and values, without what has no value."""
     plain = study.model_dump(exclude_none=True)
-    factors = [(joint, "ratio") for joint in (*_lash_tables(plain), *plain["driveline"]["shafts"])]
-    for table, key in [*factors, (plain["load"], "scale")]:
-        if table[key] == 1.0:
-            del table[key]
-    for shaft in plain["driveline"]["shafts"]:
-        if shaft["friction"] == 0.0:
-            del shaft["friction"]
-    for table, key in ((plain, "measures"), (plain["impacts"], "quantities")):
-        if not table[key]:
-            del table[key]
     if study.sweep is not None:
-        sweep = {key: value for key, value in plain["sweep"].items() if value != ()}
-        if not {"samples", "tolerances"} & set(sweep):
-            sweep.pop("sampling")
-        plain["sweep"] = sweep
+        plain["sweep"] = {key: value for key, value in plain["sweep"].items() if value != ()}
     return plain
 
 

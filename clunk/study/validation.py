@@ -1,6 +1,5 @@
 """Validation of tables by their models, with every error as a sentence at its place."""
 
-import difflib
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -63,18 +62,15 @@ def _place(location: Place) -> tuple[Place, str]:
 
 
 def _likely_key(place: Place) -> Place | None:
-    """The key that an unknown one was meant to be: a neighbour, or one that is clearly more like it elsewhere."""
-
-    def likeness(known: Place) -> float:
-        # of several tables that have such a key, the one below this table
-        nearness = 0.2 * (known[:-1] == table) + 0.01 * (known[: len(table)] == table)
-        return nearness + difflib.SequenceMatcher(None, str(place[-1])[:100], str(known[-1])).ratio()
-
+    """The key that an unknown one was meant to be: a neighbour, or one that is more like it elsewhere."""
+    name, around = str(place[-1]), key_at(place[:-1])
+    if beside := nearest(name, around.children if around is not None else ()):
+        return (*place[:-1], beside)
     table = tuple(ITEM if isinstance(step, int) else step for step in place[:-1])
-    likely = max((known for known in keys() if known and known[-1] != ITEM), key=likeness)
-    if likeness(likely) <= 0.77:
-        return None
-    return (*place[:-1], likely[-1]) if likely[:-1] == table else likely
+    # first those below this table
+    elsewhere = sorted((known for known in keys() if known), key=lambda known: known[: len(table)] != table)
+    likely = nearest(name, {str(known[-1]) for known in elsewhere}, cutoff=0.77)
+    return next((known for known in elsewhere if known[-1] == likely), None)
 
 
 def _unknown_key(place: Place, variant: str, likely: Place | None) -> str:
