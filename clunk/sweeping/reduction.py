@@ -7,7 +7,7 @@ maps, here, and tolerance maps (`clunk.sweeping.tolerances`) differ in these two
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -39,14 +39,12 @@ def flanks_of(pattern: int) -> Flanks:
     return tuple(OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:])
 
 
-def long_sequences(records: Records, impacts: Sequence[Records]) -> Iterator[tuple[int, Flanks]]:
-    """Positions and flanks of the runs whose sequences are too long for a pattern; impacts : IMPACT, in pieces."""
-    long = np.flatnonzero(records["pattern"] == 0)
-    long = long[records["status"][long] == Status.OK]
-    if long.size:
-        flanks, ends = np.concatenate(impacts)["flank"], np.cumsum(records["primary_impacts"])
-        for k in long.tolist():
-            yield k, tuple(flanks[ends[k] - records["primary_impacts"][k] : ends[k]].tolist())
+def long_sequences(records: Records, impacts: Records) -> Iterator[tuple[int, Flanks]]:
+    """Positions and flanks of the runs, CELL, whose sequences are too long for a pattern; impacts : IMPACT of all."""
+    long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
+    ends = np.cumsum(records["primary_impacts"])
+    for k in long.tolist():
+        yield k, tuple(impacts["flank"][ends[k] - records["primary_impacts"][k] : ends[k]].tolist())
 
 
 class Labels:
@@ -55,18 +53,17 @@ class Labels:
     def __init__(self) -> None:
         self._codes: dict[str, int] = {}
 
-    def code(self, text: str) -> int:
-        """The code of a label; a new one where it has not been seen yet."""
-        return self._codes.setdefault(text, len(self._codes))
-
-    def codes_of(self, records: Records, impacts: Sequence[Records]) -> npt.NDArray[np.int32]:
-        """The code of each run's label, -1 where it failed; records : CELL; impacts : IMPACT of them, in pieces."""
+    def codes_of(self, records: Records, impacts: Records) -> npt.NDArray[np.int32]:
+        """The code of each run's label, -1 where it failed; records : CELL; impacts : IMPACT of them."""
         patterns, inverse = np.unique(records["pattern"], return_inverse=True)
-        of_patterns = [self.code(label(flanks_of(each))) if each else FAILED_CODE for each in patterns.tolist()]
+        of_patterns = [self._code(flanks_of(each)) if each else FAILED_CODE for each in patterns.tolist()]
         codes = np.array(of_patterns, np.int32)[inverse.reshape(-1)]
         for k, flanks in long_sequences(records, impacts):
-            codes[k] = self.code(label(flanks))
+            codes[k] = self._code(flanks)
         return codes
+
+    def _code(self, flanks: Flanks) -> int:
+        return self._codes.setdefault(label(flanks), len(self._codes))
 
     def ordered(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
         """The labels, and each code's number among them; the last is that of -1.
@@ -78,7 +75,7 @@ class Labels:
 
 
 class Reduction(ABC):
-    """The arrays of a map, filled tile by tile.
+    """The cells of a map, collected tile by tile.
 
     study, design : of the cells
     runner : makes the tiles
@@ -86,7 +83,6 @@ class Reduction(ABC):
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
-    labels : of the runs
     """
 
     def __init__(self, study: Study, design: Design, runner: Runner, heading: dict[str, str] | None = None) -> None:
@@ -95,23 +91,29 @@ class Reduction(ABC):
         self.rows = design.cells * runner.layout.lashes
         self.known: Bools = np.zeros(design.cells, bool)
         self.done = 0
-        self.labels = Labels()
+        self._records = np.zeros(self.rows, runner.layout.record)
+        self._details: list[tuple[Cells, Records]] = []  # rows, and the details of these behind one another
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells; those that are there already are passed over."""
         new, layout = ~self.known[tile.cells], self.runner.layout
         if not new.all():
-            rows = np.repeat(new, layout.lashes)
+            kept = np.repeat(new, layout.lashes)
             tile = Tile(
-                tile.cells[new], tile.records[rows], tile.details[np.repeat(rows, tile.records[layout.counted_by])]
+                tile.cells[new], tile.records[kept], tile.details[np.repeat(kept, tile.records[layout.counted_by])]
             )
-        self.fill(tile, layout.rows(tile.cells))
+        rows = layout.rows(tile.cells)
+        self._records[rows] = tile.records
+        self._details.append((rows, tile.details))
         self.known[tile.cells] = True
         self.done += tile.cells.size
 
-    @abstractmethod
-    def fill(self, tile: Tile, rows: Cells) -> None:
-        """Put a tile of new cells into the arrays; `rows` are its rows in these."""
+    def collected(self) -> tuple[Records, Records]:
+        """Records of all rows, and their details, those of each row behind those of the row before it."""
+        assert self.known.all()
+        rows = np.concatenate([rows for rows, _ in self._details])
+        order = np.argsort(np.repeat(rows, self._records[self.runner.layout.counted_by][rows]), kind="stable")
+        return self._records, np.concatenate([details for _, details in self._details])[order]
 
     @abstractmethod
     def result(self, attributes: dict[str, str]) -> AnyMap:
@@ -157,42 +159,20 @@ class RegimeReduction(Reduction):
     ) -> None:
         grid = grid or Grid(study, design)
         super().__init__(study, design or grid.design, grid, heading)
-        self._codes: npt.NDArray[np.int32] = np.zeros(self.rows, np.int32)
-        measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
-        quantities = REGIME_QUANTITIES | measured
-        self._of_impacts = {name: each for name, each in quantities.items() if each.dimension}
-        self._fields: dict[str, Array] = {
-            name: np.zeros(self.rows, each.dtype)
-            for name, each in quantities.items()
-            if not each.dimension and name != "sequence"
-        }
-        self._impacts: list[tuple[Cells, dict[str, Array]]] = []  # rows, and the impacts of each behind one another
-
-    def fill(self, tile: Tile, rows: Cells) -> None:
-        """See `Reduction.fill`."""
-        self._codes[rows] = self.labels.codes_of(tile.records, [tile.details])
-        for name, field in self._fields.items():
-            field[rows] = tile.records[name]
-        impacts = {
-            name: np.ascontiguousarray(tile.details[name.removeprefix("impact_")], each.dtype)
-            for name, each in self._of_impacts.items()
-        }
-        self._impacts.append((rows, impacts))
 
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
-        assert self.known.all()
-        labels, final = self.labels.ordered()
-        arrays = {"sequence": final[self._codes], **self._fields}
-        arrays = {name: values.reshape(self.shape) for name, values in arrays.items()}
-        counts = self._fields["primary_impacts"]
-        rows = np.concatenate([rows for rows, _ in self._impacts])
-        begins = np.cumsum(counts) - counts  # of each row's impacts, among those of all
-        count = counts[rows]
-        places = np.repeat(begins[rows] - (np.cumsum(count) - count), count) + np.arange(count.sum())
-        for name, quantity in self._of_impacts.items():
-            arrays[name] = np.empty(places.size, quantity.dtype)
-            arrays[name][places] = np.concatenate([impacts[name] for _, impacts in self._impacts])
+        records, impacts = self.collected()
+        seen, study = Labels(), self.study
+        codes = seen.codes_of(records, impacts)
+        labels, final = seen.ordered()
+        measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
+        arrays: dict[str, Array] = {"sequence": final[codes].reshape(self.shape)}
+        for name, quantity in (REGIME_QUANTITIES | measured).items():
+            if quantity.dimension:
+                arrays[name] = impacts[name.removeprefix("impact_")].astype(quantity.dtype)
+            elif name != "sequence":
+                arrays[name] = records[name].astype(quantity.dtype).reshape(self.shape)
         return Results(**self.heading(), labels=labels, arrays=arrays, attributes=attributes)
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clunk.core.regimes import System
 from clunk.core.status import Status
-from clunk.results.labels import FAILED_CODE
+from clunk.results.labels import FAILED_CODE, label_order
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap, most_likely
 from clunk.study.arrays import Cells, Codes, Floats
 from clunk.study.axes import ResultAxis
@@ -87,7 +87,7 @@ class SampleRunner:
             tile = self._grid.run_at(np.arange(draws.size * cells.size), values, stop)
             if tile.cells.size < draws.size * cells.size:
                 return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
-            codes[:, draws] = seen.codes_of(tile.records, [tile.details]).reshape(draws.size, -1).T
+            codes[:, draws] = seen.codes_of(tile.records, tile.details).reshape(draws.size, -1).T
             severity[:, draws] = tile.records["severity"].reshape(draws.size, -1).T
             status[:, draws] = tile.records["status"].reshape(draws.size, -1).T
         labels, final = seen.ordered()
@@ -115,29 +115,22 @@ class ToleranceReduction(Reduction):
     def __init__(self, study: Study) -> None:
         self._sample = SampleRunner(study)
         super().__init__(study, self._sample.design, self._sample)
-        self._records = np.zeros(self.rows, TOLERANCE_CELL)
-        self._nominal = np.full(self.rows, FAILED_CODE)
-        self._runs: list[tuple[Cells, Codes, npt.NDArray[np.int32]]] = []  # rows, codes, and numbers of runs
-
-    def fill(self, tile: Tile, rows: Cells) -> None:
-        """See `Reduction.fill`."""
-        self._records[rows] = tile.records
-        codes = np.array([self.labels.code(text.decode()) for text in tile.details["label"].tolist()], np.int64)
-        count = tile.records["outcomes"]
-        self._runs.append((np.repeat(rows, count), codes, tile.details["runs"]))
-        is_known = tile.records["nominal_status"] == Status.OK
-        self._nominal[rows[is_known]] = codes[(np.cumsum(count) - count)[is_known]]
 
     def result(self, attributes: dict[str, str]) -> ToleranceMap:
         """See `Reduction.result`."""
-        assert self.known.all()
-        labels, final = self.labels.ordered()
-        shape = self.shape
+        records, outcomes = self.collected()
+        texts, inverse = np.unique(outcomes["label"], return_inverse=True)
+        words = [text.decode() for text in texts.tolist()]
+        labels = tuple(sorted(words, key=label_order))
+        codes = np.array([labels.index(word) for word in words], np.int16)[inverse.reshape(-1)]
+        count, shape = records["outcomes"], self.shape
         runs = np.zeros((self.rows, len(labels) + 1), np.int32)
-        for rows, codes, count in self._runs:
-            np.add.at(runs, (rows, final[codes]), count)
+        runs[np.repeat(np.arange(self.rows), count), codes] = outcomes["runs"]
         runs[:, FAILED_CODE] = self._sample.draws - runs.sum(axis=1)
-        quantiles = np.stack([self._records[name] for name in _QUANTILE_FIELDS], axis=-1)
+        is_known = records["nominal_status"] == Status.OK
+        nominal = np.full(self.rows, FAILED_CODE, np.int16)
+        nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
+        quantiles = np.stack([records[name] for name in _QUANTILE_FIELDS], axis=-1)
         return ToleranceMap(
             **self.heading(),
             labels=labels,
@@ -145,10 +138,10 @@ class ToleranceReduction(Reduction):
             arrays={
                 "probability": (runs / self._sample.draws).reshape(*shape, len(labels) + 1),
                 "sequence": most_likely(runs).reshape(shape),
-                "nominal_sequence": final[self._nominal].reshape(shape),
-                "severity_mean": self._records["severity_mean"].copy().reshape(shape),
+                "nominal_sequence": nominal.reshape(shape),
+                "severity_mean": records["severity_mean"].copy().reshape(shape),
                 "severity_quantiles": quantiles.reshape(*shape, len(QUANTILES)),
-                "status": self._records["status"].copy().reshape(shape),
+                "status": records["status"].copy().reshape(shape),
             },
             attributes=attributes,
         )
