@@ -436,7 +436,7 @@ def test_undecided_cells_are_dotted_and_counted(nine: Results) -> None:
     for cell in cells:
         quality[cell] |= QUALITY_UNDECIDED
     figure = regime_map(nine.with_arrays(quality=quality))
-    assert notes(figure)[-1] == "● undecided: 3 cells"
+    assert notes(figure)[-1] == "• undecided: 3 cells"
     (dots,) = [line for line in figure.axes[0].lines if line.get_gid() == "undecided"]
     expected = [(RATIO.values[i], BACKLASH.values[j]) for i, j in cells]
     np.testing.assert_allclose(dots.get_xydata(), expected)

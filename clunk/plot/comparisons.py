@@ -13,10 +13,11 @@ from clunk.analysis.fitted import Fitted, fit_maps
 from clunk.analysis.trends import ExperimentComparison
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
-from clunk.plot.style import INK, LINE_COLOURS, cells_phrase
+from clunk.plot.style import INK, LINE_COLOURS
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
+from clunk.study.records import counted
 
 _RARE_COLOUR = "#a9adb0"
 _MARKED = 6  # transitions with colours of their own
@@ -48,7 +49,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
     for text, cells, colour in marks:
         if cells.any():
             paint[cells] = list(bytes.fromhex(colour[1:]))
-            notes.append(Note(f"{text}: {cells_phrase(int(np.count_nonzero(cells)))}", colour))
+            notes.append(Note(f"{text}: {counted(int(np.count_nonzero(cells)), 'cell')}", colour))
     title = f"Differences: {a.title}" if len(set(comparison.titles.values())) == 1 else "Differences between two maps"
     undoubted = replace(
         layers,

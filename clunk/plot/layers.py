@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.plane import Codes, View, cell_edges, cells_of, value_text
-from clunk.plot.style import FAILED_FILL, UNDEFINED, PlotError, cells_phrase, colour_of, group_colour, shades
+from clunk.plot.style import FAILED_FILL, UNDEFINED, PlotError, colour_of, group_colour, shades
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.quantities import LABEL, NUMBER, TEXT, YES_NO, Quantity, quantity_of
@@ -138,7 +138,7 @@ class Layers:
             return layers._faded(drawn) if isinstance(drawn, ToleranceMap) else layers
         of_labels = [described.of_label(label) for label in labels]
         by_label = None not in of_labels
-        whole = np.unique([*of_labels, *values[np.isfinite(values)]] if by_label else values[np.isfinite(values)])
+        whole = np.unique(np.array(of_labels) if by_label else values[np.isfinite(values)])
         is_told_apart = described.type != NUMBER and whole.size <= MOST_LABELS and not draws
         fact = f"{'whether' if described.type == YES_NO else 'numbers:'} {described.heading}"
         if is_told_apart and by_label:
@@ -200,7 +200,7 @@ class Layers:
         """The most likely labels, paler where they are less certain."""
         certainty = self.view.arrange(drawn.certainty)
         white = np.where(certainty < CERTAIN, np.interp(certainty, *_FADES), 0.0)
-        text = f"paler: less than {100 * CERTAIN:.0f} % likely, {cells_phrase(drawn.uncertain)}"
+        text = f"paler: less than {100 * CERTAIN:.0f} % likely, {counted(drawn.uncertain, 'cell')}"
         notes = (Note(text, ""),) if drawn.uncertain else ()
         paint = self.region_colours + white[..., None] * (255.0 - self.region_colours)
         return replace(self, paint=paint, notes=notes, facts=(f"most likely of {drawn.draws:,} draws", *self.facts[1:]))
@@ -255,14 +255,14 @@ class Layers:
         shown = set(names) & set(self.seen)
         notes = [Note(text(name, f"{100 * share:.2g} %"), colour) for name, colour, share in regions if name in shown]
         if failed := int(np.count_nonzero(self.failed)):
-            notes.append(Note(text(FAILED, cells_phrase(failed)), FAILED_FILL))
+            notes.append(Note(text(FAILED, counted(failed, "cell")), FAILED_FILL))
         if self.shaded and self.values is not None and (np.isnan(self.values) & ~self.failed).any():
             why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
             notes.append(Note(why, UNDEFINED))
         if undecided := int(np.count_nonzero(self.undecided)):
-            notes.append(Note(text("● undecided", cells_phrase(undecided)), ""))
+            notes.append(Note(text("• undecided", counted(undecided, "cell")), ""))
         if len(self.unresolved):
-            notes.append(Note(text("● lines unresolved", counted(len(self.unresolved), "place")), ""))
+            notes.append(Note(text("• lines unresolved", counted(len(self.unresolved), "place")), ""))
         return [*notes, *self.notes]
 
     @property

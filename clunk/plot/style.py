@@ -163,11 +163,6 @@ def remark(text: str) -> Patch:
     return swatch(text, "none", edgecolor="none")
 
 
-def cells_phrase(count: int) -> str:
-    """A number of cells, for example 1 cell or 1,234 cells."""
-    return f"{count:,} cell{'' if count == 1 else 's'}"
-
-
 def tidy(ax: Axes, axis: Literal["x", "y"] = "y") -> None:
     """Draw grid lines at an axis's ticks, and no spines at the top and on the right."""
     ax.grid(axis=axis, color="0.9", linewidth=0.6)
