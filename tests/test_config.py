@@ -164,6 +164,8 @@ def test_what_the_file_gives_goes_before_the_preset():
     assert (study.load.ratio, study.load.static_torque) == (7.0, -1.0)
 
 
+IN_MM = ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8.0")
+PER_DEGREE = ONE_RUN.replace("stiffness = 31.3", "stiffness_per_deg = 0.5", 1)
 BY_STEP = ONE_RUN.replace("static_torque = -1.0\nratio = 5.0", "initial_torque = -6.0\nfinal_torque = -1.0")
 BY_TABLE = ONE_RUN.replace("static_torque = -1.0\nratio = 5.0", "times = [0, 1]\ntorques = [-6, -1]")
 BY_TABLE = BY_TABLE.replace('profile = "step"', 'profile = "table"')
@@ -172,6 +174,10 @@ BY_TABLE = BY_TABLE.replace('profile = "step"', 'profile = "table"')
 @pytest.mark.parametrize(
     ("text", "overrides", "same"),
     [
+        (ONE_RUN, ["lash.gap_mm=8.0"], IN_MM),
+        (IN_MM, ["lash.backlash_deg=6.0"], ONE_RUN),
+        (ONE_RUN, ["driveline.shafts[1].stiffness_per_deg=0.5"], PER_DEGREE),
+        (PER_DEGREE, ["driveline.shafts[1].stiffness=31.3"], ONE_RUN),
         (BY_STEP, ["load.ratio=5.0", "load.static_torque=-1.0"], ONE_RUN),
         (ONE_RUN, ["load.final_torque=-1.0", "load.initial_torque=-6.0"], BY_STEP),
         (ONE_RUN, ["load.profile=table", "load.times=[0, 1]", "load.torques=[-6, -1]"], BY_TABLE),
@@ -191,7 +197,14 @@ def test_a_key_that_is_set_replaces_those_that_may_be_given_instead_of_it(text, 
     assert study_from_text(text, overrides=overrides) == study_from_text(same)
 
 
+def test_an_axis_sweeps_a_gap_that_is_given_in_another_unit():
+    study = study_from_text(WHOLE.replace("backlash_deg = 6.0", "gap_mm = 8.0"))
+    assert study.lash.backlash_deg == study_from_text(IN_MM).lash.backlash_deg
+    assert "sweep.axes[2] sweeps lash.backlash_deg" in str(errors_of(WHOLE, "lash.gap_mm=8.0"))
+
+
 def test_keys_that_are_set_beside_each_other_are_refused():
+    assert "given together" in str(errors_of(ONE_RUN, "lash.gap_mm=8.0", "lash.backlash_deg=6.0"))
     assert "given together" in str(errors_of(ONE_RUN, "load.ratio=3.0", "load.initial_torque=6.0"))
 
 
@@ -257,6 +270,22 @@ def test_starter_names_every_key():
     tables = {"driveline", "lash", "load", "solver", "impacts", "measures", "sweep", "shafts", "contact"}
     tables |= {"axes", "samples", "tolerances", "sampling", "fit", "optimize", "parameters"}
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
+
+
+def test_a_gap_in_mm_is_the_backlash_at_the_radius():
+    study = study_from_text(ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8"))
+    assert study.lash.backlash_deg == pytest.approx(np.rad2deg(8e-3 / 0.08), rel=1e-15)
+    assert study.lash.gap_mm is None
+    assert "gap_mm" not in to_toml(study)
+    assert study_from_text(PRESET, overrides=["lash.gap_mm=8.0"]).lash == study.lash
+    assert study_from_text(f"{PRESET}[lash]\ngap_mm = 4\nradius = 0.04\n").lash.backlash_deg == study.lash.backlash_deg
+
+
+def test_a_stiffness_per_degree_is_the_stiffness():
+    study = study_from_text(ONE_RUN.replace("stiffness = 31.3", "stiffness_per_deg = 0.5", 1))
+    assert study.driveline.shafts[0].stiffness == pytest.approx(90.0 / np.pi, rel=1e-15)
+    assert study.driveline.shafts[0].stiffness_per_deg is None
+    assert "stiffness_per_deg" not in to_toml(study)
 
 
 def test_a_gear_ratio_of_1_is_the_ratio_of_what_has_none():
@@ -353,11 +382,20 @@ BROKEN = [
     (with_line(15, "stiffness = -1"), "driveline.shafts[3].stiffness", 15, "found -1; must be a number, 0 or greater"),
     (with_line(15, "stiffness = 31.3\nratio = 0"), "driveline.shafts[3].ratio", 16, "found 0; must be a finite number"),
     (with_line(15, "stiffness = 31.3\nratio = 1e7"), "driveline.shafts[3].ratio", 16, "lost in rounding"),
+    (with_line(15, "stiffness = 3\nstiffness_per_deg = 1"), "driveline.shafts[3]", 13, "given together; give one of"),
+    (with_line(15, "stiffness_per_deg = -1"), "driveline.shafts[3].stiffness_per_deg", 15, "0 or greater (N m/degree)"),
     (with_line(18, 'between = ["pinion", "rign"]'), "lash.between[2]", 18, 'did you mean "ring"?'),
     (with_line(18, "between = [3, 4.0]"), "lash.between[2]", 18, "found 4.0; must be an inertia's number"),
     (with_line(19, "backlsh_deg = 6.0"), "lash.backlsh_deg", 19, 'did you mean "backlash_deg"?'),
     (with_line(19, "backlash_deg = 361"), "lash.backlash_deg", 19, "from 0 to 360 (degrees)"),
+    (with_line(19, "backlash_deg = 6.0\ngap_mm = 8.4"), "lash", 17, "backlash_deg and gap_mm are given together; give"),
     (with_line(19, "backlash_deg = 6.0\nratio = 1e-40"), "lash.ratio", 20, "must be from 1e-30 to 1e+30"),
+    (ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8e2"), "lash.gap_mm", 19, "is 572.958 degrees, and at most"),
+    (ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = -1"), "lash.gap_mm", 19, "a number, 0 or greater (mm)"),
+    (ONE_RUN.replace("backlash_deg = 6.0\nradius = 0.08", "gap_mm = 8"), "lash.radius", 17, "missing"),
+    (with_line(42, 'parameter = "lash.gap_mm"'), "sweep.axes[1].parameter", 42, "sweep lash.backlash_deg instead"),
+    (with_line(42, 'parameter = "driveline.shafts[2].stiffness_per_deg"'), "sweep.axes[1].parameter", 42,
+     "sweep driveline.shafts[2].stiffness instead"),
     (with_line(42, 'parameter = "lash.ratio"'), "sweep.axes[1].start", 43, "found 0; must be a finite number other"),
     (with_line(42, 'parameter = "lash.ratio"').replace("start = 0.0", "start = -10.0"), "sweep.axes[1]", 41,
      "lash.ratio: found 0; must be a finite number other"),
@@ -365,6 +403,9 @@ BROKEN = [
      "sweep.axes[2].values[2]", 48, "ratio: found 0; must be"),
     (with_line(48, "values = [1, 1e8]").replace("lash.backlash_deg", "lash.ratio"),
      "sweep.axes[2].values[2]", 48, "lost in"),
+    (with_line(47, "values = [0.1, 0.2]").replace("backlash_deg = 6.0", "gap_mm = 8")
+     .replace('"lash.backlash_deg"', '"lash.radius"').replace("values = [1.0, 2.0, 5.0]", 'parameter = "lash.radius"'),
+     "sweep.axes[2].parameter", 48, "changes the angle of lash.gap_mm"),
     (with_line(20, "radius = 1979-05-27"), "lash.radius", 20, "found 1979-05-27"),
     (with_line(20, f"radius = 0x{'f' * 6000}"), "lash.radius", 20, "beyond 64 bits"),
     (with_line(48, f"values = [1, 0x{'f' * 6000}]"), "sweep.axes[2].values[2]", 48, "beyond 64 bits"),

@@ -105,6 +105,12 @@ def test_the_schema_allows_one_lash_and_several():
         (TWO + SWEPT.format("lash.radius"), [], "sweep.axes[1].parameter", "there are 2 lashes; name one, lash[1]"),
         (TWO + SWEPT.format("lash[rear].radius"), [], "sweep.axes[1].parameter", 'did you mean "lash[1].radius"?'),
         (TWO + SWEPT.format("lash[3].radius"), [], "sweep.axes[1].parameter", "lash has 2 items"),
+        (
+            TWO.replace("backlash_deg = 3.0", "gap_mm = 3.0") + SWEPT.format("lash[2].radius"),
+            [],
+            "sweep.axes[1].parameter",
+            "changes the angle of lash[2].gap_mm; give lash[2].backlash_deg",
+        ),
         ("lash = []\ndriveline.preset = 'car'", [], "lash", "a table, or an array of tables, [[lash]]"),
     ],
 )

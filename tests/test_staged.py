@@ -9,7 +9,7 @@ from clunk.api import sweep
 from clunk.core.events import STAGE
 from clunk.simulation.driveline import Driveline, steady_stages
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import load_study
+from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.problems import ConfigError
 
@@ -118,6 +118,7 @@ def test_a_stage_without_stiffness_may_not_carry_the_load():
         ([STAGES[0], "driveline.shafts[1].breakpoints_deg=[2.0, -4.0]"], "must be in ascending order"),
         ([STAGES[0], "driveline.shafts[1].breakpoints_deg=[2.0, 2.0]"], "must be in ascending order"),
         (["driveline.shafts[1].stiffness=[1.0, -1.0, 1.0]", STAGES[1]], "0 or greater"),
+        ([*STAGES, "driveline.shafts[1].stiffness_per_deg=1.0"], "give one of the two"),
         (
             [*STAGES, "sweep.axes=[{parameter='driveline.shafts[1].stiffness', start=1.0, stop=2.0, count=2}]"],
             "has 3 stages",
@@ -139,8 +140,18 @@ def test_what_cannot_be_is_refused(overrides, text):
 
 
 def test_stages_and_breakpoints_are_swept():
-    """A stage as stiff as its neighbours is the plain shaft."""
+    """A stage as stiff as its neighbours is the plain shaft; a stiffness of all stages by degree is converted."""
     axes = "sweep.axes=[{parameter='driveline.shafts[1].stiffness[2]', values=[10.0, 31.3]}]"
     results = sweep(nominal(*EXACT, *STAGES, axes), workers=1)
     assert results.severity[1] == pytest.approx(simulate(nominal(*EXACT)).severity, rel=1e-9)
     assert results.severity[0] == pytest.approx(simulate(nominal(*EXACT, *STAGES)).severity, rel=1e-12)
+    shafts = nominal(*EXACT).driveline.shafts
+    by_degree = study_from_text(
+        f"[driveline]\ninertias = [0.024, 0.002, 0.002, 0.002]\n[[driveline.shafts]]\nbetween = [1, 2]\n"
+        f"stiffness_per_deg = [0.5, 0.25]\nbreakpoints_deg = [1.0]\ndamping = {shafts[0].damping}\n"
+        "[[driveline.shafts]]\nbetween = [4, 'ground']\nstiffness = 31.3\ndamping = 0.1\n"
+        "[[driveline.shafts]]\nbetween = [2, 3]\nstiffness = 31.3\ndamping = 0.1\n"
+        "[lash]\nbetween = [3, 4]\nbacklash_deg = 6.0\nradius = 0.08\n[lash.contact]\nstiffness = 4e5\ndamping = 90.0\n"
+        "[load]\non = 1\nstatic_torque = -1.0\nratio = 5.0\n[impacts]\nacceleration_of = 3\n"
+    )
+    assert by_degree.driveline.shafts[0].stages == pytest.approx((np.rad2deg(0.5), np.rad2deg(0.25)), rel=1e-15)

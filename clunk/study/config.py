@@ -36,7 +36,7 @@ from clunk.study.study import Study
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
 
-# Of each table the groups of keys that are given instead of one another.
+# Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
 _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (
     (("load",), TORQUES),
     (("load",), (("times", "torques"), ("file",))),
@@ -166,7 +166,7 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     _warn_of_fewer_shafts(name, preset, raw)
     swept = [axis.get("parameter") for at, axis in _entries(raw) if at[1] == "axes"]
     together = [key for pair in TORQUES if all(f"load.{key}" in swept for key in pair) for key in pair]
-    of_file = [("load", key) for key in raw["load"]] if isinstance(raw.get("load"), dict) else []
+    of_file = [(table, key) for table in ("load", "lash") if isinstance(raw.get(table), dict) for key in raw[table]]
     for at in (*of_file, *(("load", key) for key in together)):
         _displace(preset, at)
     profile: Place = ("load", "profile")
@@ -212,7 +212,7 @@ def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str
 
 
 def _displace(document: dict[str, Any], place: Place, value: Any = None, kept: Container[Place] = ()) -> None:
-    """Remove the keys of a document that another layer's key replaces: the other torques and so on.
+    """Remove the keys of a document that another layer's key replaces: its other unit, the other torques and so on.
 
     value : of that key
     kept : keys that stay, to be refused beside it
@@ -227,8 +227,11 @@ def _displace(document: dict[str, Any], place: Place, value: Any = None, kept: C
 def _alternatives(place: Place) -> list[str]:
     """Names of the keys beside a key that may be given instead of it."""
     *table, name = place
-    at = tuple(step for step in table if isinstance(step, str))
+    at, around = tuple(step for step in table if isinstance(step, str)), key_at(tuple(table))
     pairs = [pair for pattern, pair in _ALTERNATIVES if pattern == at]
+    for each in around.children if around else ():
+        key = key_at((*table, each))
+        pairs += [((each,), (key.other_unit_of,))] if key and key.other_unit_of else []
     return [other for pair in pairs for one, two in (pair, pair[::-1]) if name in one for other in two]
 
 
@@ -304,6 +307,11 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
             continue
         problem = complaint(parameter, document)
         place = place_of(parameter, names_of(document))
+        if place is not None and place[0] == "lash" and place[-1] == "radius":
+            gap, angle = ((*place[:-1], key) for key in ("gap_mm", "backlash_deg"))
+            if value_at(document, gap) is not None:
+                text = f"{dotted(place)} changes the angle of {dotted(gap)}; give {dotted(angle)} to sweep or draw it"
+                findings.append(((*at, "parameter"), text))
         key = None if place is None else key_at(place)
         if problem is not None or place is None or key is None:
             findings.append(((*at, "parameter"), problem or "no key has this name"))
@@ -313,7 +321,10 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
         if at[1] == "axes":
             example = f"{dotted(at)}.{'start' if entry.get('values') is None else 'values'}"
             text = f"{dotted(at)} sweeps {dotted(place)}; name one of its values by --at, or set the axis, as {example}"
-            findings += [(place, text)] if place in assigned else []
+            set_instead = (
+                instead if place[0] == "lash" else []
+            )  # of the other torques, the axis has an error of its own
+            findings += [(each, text) for each in (place, *set_instead) if each in assigned]
         is_missing = not any(value_at(document, each) is not None for each in (place, *instead))
         if place[0] == "load":  # where its profile has no such key, an error says so
             is_missing &= uses(profile, str(place[-1]))

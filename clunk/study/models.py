@@ -4,6 +4,7 @@ The units are the config's (degrees, N/m at a radius); `clunk.simulation` conver
 validator here looks at one table; the rules that tie tables to one another are in `clunk.study.rules`.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal
@@ -25,10 +26,13 @@ from clunk.study.tables import (
     NotNegative,
     NotZero,
     OneOrSeveral,
+    OtherUnit,
     Positive,
     Quantity,
     Table,
     Text,
+    converted,
+    is_number,
     misnamed,
 )
 
@@ -51,6 +55,7 @@ class Shaft(Table):
     ratio : float, i of a gear: the twist is θ of the first end less i θ of the second
     stiffness : float, or one for each stage
     breakpoints_deg : twists between the stages, ascending
+    stiffness_per_deg : float or None, instead of stiffness, which it becomes
     friction : float, Coulomb torque against the rate of twist, and anything up to that while it sticks
 
     A bearing, a shaft to ground, has damping or friction alone where nothing else is given.
@@ -64,6 +69,11 @@ class Shaft(Table):
         OneOrSeveral,
         Quantity("stiffness of shaft {}", "k{}", "N m/rad"),
     ]
+    stiffness_per_deg: Annotated[
+        Annotated[Annotated[NotNegative, Tag(ONE)] | Annotated[tuple[NotNegative, ...], Tag(SEVERAL)], OneOrSeveral]
+        | None,
+        OtherUnit("stiffness", "N m/degree"),
+    ] = None
     breakpoints_deg: (
         Annotated[
             tuple[Annotated[float, Quantity("breakpoint {1} of shaft {0}", "θ{0},{1}", "degrees")], ...],
@@ -76,7 +86,8 @@ class Shaft(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_in(cls, shaft: Any) -> Any:
+    def _convert(cls, shaft: Any) -> Any:
+        shaft = converted(shaft, "stiffness_per_deg", "stiffness", math.degrees)
         if not isinstance(shaft, dict) or "ground" not in items_of(shaft.get("between")):
             return shaft
         of_bearing = {"stiffness": 0.0} if shaft.keys() & {"damping", "friction"} else {}
@@ -84,7 +95,9 @@ class Shaft(Table):
         return of_bearing | shaft
 
     def contradictions(self) -> Iterator[Finding]:
-        """Require a stiffness for each stage, and ascending breakpoints."""
+        """The stiffness is given once."""
+        if self.stiffness_per_deg is not None:
+            yield (), "stiffness and stiffness_per_deg are given together; give one of the two"
         stages, breakpoints = self.stages, self.breakpoints_deg or ()
         if len(stages) != len(breakpoints) + 1:
             text = f"found {len(stages)} stiffnesses and {len(breakpoints)} breakpoints"
@@ -145,14 +158,39 @@ class Lash(Table):
 
     name : str or None, of one of several lashes; by default its number, as in ``lash 1``
     ratio : float, i of a gear: the gap is measured in θ of the first end less i θ of the second
+    gap_mm : float or None, the whole gap at the radius, instead of backlash_deg, which it becomes
     """
 
     name: Text | None = None
     between: Ends
     ratio: Annotated[NotZero, Quantity("gear ratio at the lash", "i", "1")] = 1.0
     backlash_deg: Annotated[float, Field(ge=0, le=360), Quantity("backlash", "φθ", "degrees")]
+    gap_mm: Annotated[NotNegative | None, OtherUnit("backlash_deg", "mm")] = None
     radius: Annotated[Positive, Quantity("radius of the flanks", "r", "m")]
     contact: Contact
+
+    @model_validator(mode="before")
+    @classmethod
+    def _convert(cls, lash: Any) -> Any:
+        number: Any = lash.get("radius") if isinstance(lash, dict) else None
+        radius = float(number) if is_number(number) and number > 0.0 else math.inf  # else it has an error of its own
+        return converted(lash, "gap_mm", "backlash_deg", lambda gap: _degrees(gap, radius), 360.0)
+
+    def contradictions(self) -> Iterator[Finding]:
+        """The gap is given once, and is no more than a turn."""
+        if self.gap_mm is None:
+            return
+        degrees = _degrees(self.gap_mm, self.radius)
+        if degrees > 360.0:
+            text = f"found {self.gap_mm:g}; at a radius of {self.radius:g} m that is {degrees:g} degrees"
+            yield ("gap_mm",), f"{text}, and at most 360 are allowed"
+        else:
+            yield (), "backlash_deg and gap_mm are given together; give one of the two"
+
+
+def _degrees(gap_mm: float, radius: float) -> float:
+    """Angle of a gap in mm at a radius in m."""
+    return math.degrees(gap_mm / (1e3 * radius))
 
 
 class Solver(Table):

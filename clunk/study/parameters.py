@@ -86,6 +86,9 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
         if items_of(value_at(document, place)):
             return f"{parameter} has {len(items_of(value_at(document, place)))} stages; name one, {parameter}[1]"
         return None
+    if place is not None and key is not None and key.other_unit_of:
+        instead = dotted((*place[:-1], key.other_unit_of))
+        return f"{parameter} cannot be swept; sweep {instead} instead, which it becomes"
     known = parameters(document)
     leaf = parameter.rsplit(".", 1)[-1]
     same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]

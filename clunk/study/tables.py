@@ -1,7 +1,9 @@
 """Building blocks of a config's tables: their base class, quantities with units, and types of texts and inertias."""
 
+import math
+import sys
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -66,6 +68,42 @@ class Quantity:
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
         """JSON Schema of the key, with its quantity as further keywords."""
         return {**handler(core_schema), "quantity": self.name, "symbol": self.symbol, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class OtherUnit:
+    """Another unit of a key beside it, which takes the number over when a config is read.
+
+    key, unit : of that key, e.g. ``backlash_deg``, and of this one, ``mm``
+    """
+
+    key: str
+    unit: str
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
+        """JSON Schema of the key, with the other key and the unit as further keywords."""
+        return {**handler(core_schema), "other_unit_of": self.key, "unit": self.unit}
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number."""
+    return type(value) in {int, float} and abs(value) <= sys.float_info.max
+
+
+def converted(table: Any, key: str, target: str, convert: Callable[[float], float], highest: float = math.inf) -> Any:
+    """A table with a number of another unit converted into the key `target`.
+
+    Where both keys are given the table stays as it is, to be refused. A number that cannot be converted, or is more
+    than the highest, stays beside a target that has no error of its own.
+    """
+    if not isinstance(table, dict) or table.get(key) is None or table.get(target) is not None:
+        return table
+    numbers = items_of(table[key]) or (table[key],)
+    values = [convert(each) if is_number(each) and each >= 0 else math.inf for each in numbers]
+    if max(values) > highest or math.inf in values:
+        return {**table, target: 0.0}
+    value = tuple(values) if isinstance(table[key], list | tuple) else values[0]
+    return {**{name: each for name, each in table.items() if name != key}, target: value}
 
 
 def _one_line(text: str) -> str:
