@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import margins, reference
-from numpy.polynomial.polynomial import polyder, polyint, polyval
+from numpy.polynomial.polynomial import polyder, polyval
 from scipy.linalg import expm
 
 from clunk.core.exact import curves, moving, taylor
@@ -63,13 +63,6 @@ def cross(c, length, results):
     vectors.store(results, 0, s)
     vectors.store(results, 1, slope)
     vectors.store(results, 2, half)
-    return found, none
-
-
-@compiled
-def turn(c, room, length, results):
-    found, none, s = taylor.turning(c, room, vectors.load(length, 0))
-    vectors.store(results, 0, s)
     return found, none
 
 
@@ -412,28 +405,3 @@ def test_a_crossing_is_exact_to_rounding_close_to_a_tangency():
             assert abs(s - results[0, lane]) <= 2e-13 + rounding
             claimed += 1
     assert claimed > 0.8 * 150 * WIDTH
-
-
-def test_a_turning_point_is_a_zero_of_the_slope():
-    """Wherever one is claimed, and most are found; where none is claimed, there is none."""
-    random = np.random.default_rng(2)
-    claimed, there = 0, 0
-    for _ in range(960 // WIDTH):
-        slopes, results = random_series(random)[:-1], np.zeros((1, WIDTH))
-        length = random_lengths(random, slopes)
-        slopes *= random.choice([-1.0, 1.0], WIDTH)
-        found, none = (
-            holds(bits) for bits in turn(polyint(slopes, k=random.normal()), np.zeros((TERMS, WIDTH)), length, results)
-        )
-        assert not np.any(found & none)
-        for lane in range(WIDTH):
-            exact, series = zeros(slopes[:, lane], length[lane]), np.abs(slopes[:, lane])
-            monotone = series[1] > np.arange(2, TERMS - 1) @ series[2:]
-            there += monotone and slopes[0, lane] * slopes[1, lane] < 0.0 and exact.size > 0
-            claimed += found[lane]
-            if none[lane]:
-                assert exact.size == 0
-            if found[lane]:
-                assert exact == pytest.approx([results[0, lane]], rel=1e-10)
-    assert there > 120
-    assert claimed > 0.8 * there

@@ -63,22 +63,6 @@ def apply(a, b, x, bits, results):
 
 
 @compiled
-def copy(array, row, to, to_row):
-    vectors.store(to, to_row, vectors.load(array, row))
-    return vectors.number(array, row * WIDTH + 3)
-
-
-@compiled
-def gather(array, offsets, first, to, row):
-    vectors.gather(array, offsets, first, to, row)
-
-
-@compiled
-def scatter(of, row, array, offsets, first):
-    vectors.scatter(of, row, array, offsets, first)
-
-
-@compiled
 def push_all(items, bits):
     pool.push_all(items, 0, bits)
     return vectors.first_of(bits)
@@ -130,37 +114,6 @@ def test_a_product_and_a_sum_are_rounded_once():
             numbers = [map(Fraction, np.broadcast_to(side, (1, WIDTH))[0].tolist()) for side in sides]
             assert found.tolist() == [float(a * b + c) for a, b, c in zip(*numbers, strict=True)]
     assert np.any(results[0] != 0.0)  # as the product rounded by itself, less that, would be
-
-
-def test_rows_are_loaded_and_stored_and_elements_read():
-    array, to = RANDOM.normal(size=(3, WIDTH)), np.zeros((4, WIDTH))
-    assert copy(array, 2, to, 1) == array[2, 3]
-    assert np.array_equal(to[1], array[2])
-    assert not to[[0, 2, 3]].any()
-
-
-@pytest.mark.parametrize(("first", "row"), [(0, 0), (5, 2)])
-def test_gathering_is_to_transpose(first, row):
-    array, to = RANDOM.normal(size=(20, 3 * ROW)), np.zeros((ROW + 3, WIDTH))
-    offsets = RANDOM.integers(0, array.size - ROW - first, WIDTH)  # anywhere, overlapping too
-    offsets[1] = offsets[0]
-    gather(array, offsets, first, to, row)
-    expected = np.zeros_like(to)
-    expected[row : row + ROW] = array.ravel()[offsets + first + np.arange(ROW)[:, None]]
-    assert np.array_equal(to, expected)
-
-
-@pytest.mark.parametrize(("first", "row"), [(0, 0), (5, 2)])
-def test_scattering_is_the_other_way_round(first, row):
-    array, of = RANDOM.normal(size=(2 * WIDTH, 2 * ROW)), RANDOM.normal(size=(ROW + 3, WIDTH))
-    offsets = RANDOM.permutation(2 * WIDTH - 1)[:WIDTH] * array.shape[1] + 1
-    expected = array.copy()
-    expected.ravel()[offsets + first + np.arange(ROW)[:, None]] = of[row : row + ROW]
-    scatter(of, row, array, offsets, first)
-    assert np.array_equal(array, expected)
-    back = np.zeros_like(of)
-    gather(array, offsets, first, back, row)
-    assert np.array_equal(back[row : row + ROW], of[row : row + ROW])
 
 
 @pytest.mark.parametrize(("bits", "lowest"), [*zip(BITS, (64, 0, 0, WIDTH - 1, 0), strict=True)])
