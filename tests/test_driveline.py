@@ -130,7 +130,7 @@ def test_the_preload_as_initial_state_changes_nothing(nominal):
 
 def test_a_run_can_begin_in_the_gap(nominal):
     """From rest in the middle of the gap: the nearer flank is the initial one, and the first event is a touch."""
-    plant = reference.plant_of(nominal)
+    plant = reference.Plant()
     for q in (0.01, -0.01):
         state = np.array([q, q, q, 0, 0, 0, 0, 0])
         trajectory = simulate(nominal, initial_state=state)

@@ -73,7 +73,7 @@ def by_hand(profile, before, after, t):
                     moved = moved + slope * (to_slope(t - begin) - to_slope(t - end))
         case "sine":
             omega = 2.0 * np.pi * profile.frequency
-            swing = profile.amplitude * (np.exp(1j * profile.phase) * to_wave(1j * omega, t)).imag
+            swing = profile.amplitude * to_wave(1j * omega, t).imag
             moved = change * to_step(t) + swing
     return rest + moved
 

@@ -1,39 +1,9 @@
-"""Plants of the independent reference as configs, and the other way round."""
+"""Plants of the independent reference as configs."""
 
 import numpy as np
 
-from helpers.loads import PARAMETERS, Profile
-from helpers.plant import Plant, Shaft
-
-
-def plant_of(study):
-    """The plant that a study's config spells out, in rad, N m and s."""
-    contact, radius = study.lash.contact, study.lash.radius
-    load, shafts = study.load, study.driveline.shafts
-    name = load.profile
-    before, after = load.initial_torque, load.final_torque
-    if load.ratio is not None:
-        before, after = load.static_torque * (1.0 + load.ratio), load.static_torque
-    parameters = {key: getattr(load, key) for key in PARAMETERS.get(name, ())}
-    if name == "table":
-        parameters["torques"] = tuple(load.scale * torque for torque in load.torques)
-    return Plant(
-        inertias=study.driveline.inertias,
-        shafts=tuple((*shaft.between, shaft.stiffness, shaft.damping) for shaft in shafts),
-        lash=study.lash.between,
-        contact_stiffness=radius**2 * contact.stiffness,
-        contact_damping=radius**2 * contact.damping,
-        backlash=np.pi / 180.0 * study.lash.backlash_deg,
-        before=before,
-        after=after,
-        loaded=load.on,
-        acceleration_of=study.impacts.acceleration_of,
-        separation=contact.separation,
-        restitution=contact.restitution if contact.model == "restitution" else None,
-        ratios=tuple(shaft.ratio for shaft in shafts),
-        lash_ratio=study.lash.ratio,
-        profile=Profile(name, **parameters),
-    )
+from helpers.loads import PARAMETERS
+from helpers.plant import Shaft
 
 
 def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):
@@ -42,8 +12,6 @@ def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):
     shafts = "".join(_shaft(Shaft(*ends), ratio) for ends, ratio in zip(plant.shafts, ratios, strict=True))
     lashes = "".join(_lash(lash, "[lash]" if len(plant.lashes) == 1 else "[[lash]]") for lash in plant.lashes)
     torques = f"initial_torque = {plant.before!r}\nfinal_torque = {plant.after!r}\n"
-    if plant.profile.phase:
-        raise ValueError("a config's sine begins at the torque after the load step")
     values = ((key, getattr(plant.profile, key)) for key in PARAMETERS.get(plant.profile.name, ()))
     parameters = "".join(
         f"{key} = {list(value) if isinstance(value, tuple) else repr(value)}\n" for key, value in values

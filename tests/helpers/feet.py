@@ -7,6 +7,8 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from helpers.plant import Plant
+
 
 def feet_of_figure_3_4():
     """Ascending load ratios σr at which the overlap 1 + σr g of the closed lash changes sign once more."""
@@ -20,18 +22,12 @@ def closed_overlap(times):
 
     Without backlash, both flanks are one spring and damper, and the chain is linear: θ'' = -J⁻¹ (C θ' + K θ).
     """
-    inertias = np.array([0.024, 0.002, 0.002, 0.002])
-    radius2 = 0.08**2
-    shafts = [(0, 1, 31.3, 0.08), (1, 2, 31.3, 0.04), (2, 3, radius2 * 4.092e5, radius2 * 94.0), (3, None, 31.3, 0.1)]
-    stiffness, damping = np.zeros((4, 4)), np.zeros((4, 4))
-    for a, b, k, c in [*shafts, (0, None, 0.0, 0.1)]:
-        twist = np.zeros(4)
-        twist[a] = 1.0
-        if b is not None:
-            twist[b] = -1.0
-        stiffness += k * np.outer(twist, twist)
-        damping += c * np.outer(twist, twist)
-    flow = np.block([[np.zeros((4, 4)), np.eye(4)], [-stiffness / inertias[:, None], -damping / inertias[:, None]]])
+    plant = Plant()
+    across = np.outer(plant.twist, plant.twist)
+    damping, stiffness = plant.open_matrices()
+    damping, stiffness = damping + plant.contact_damping * across, stiffness + plant.contact_stiffness * across
+    inertias = np.array(plant.inertias)[:, None]
+    flow = np.block([[np.zeros((4, 4)), np.eye(4)], [-stiffness / inertias, -damping / inertias]])
     rest = np.linalg.solve(stiffness, [1.0, 0.0, 0.0, 0.0])
     gap = np.array([0, 0, 1.0, -1.0, 0, 0, 0, 0])
     start = np.concatenate([rest, np.zeros(4)])

@@ -28,7 +28,7 @@ def torque(plant, t):
             share = (t - load.times[k]) / (load.times[k + 1] - load.times[k])
             return (1.0 - share) * load.torques[k] + share * load.torques[k + 1]
         case "sine":
-            return after + load.amplitude * np.sin(2.0 * np.pi * load.frequency * t + load.phase)
+            return after + load.amplitude * np.sin(2.0 * np.pi * load.frequency * t)
     raise ValueError(load.name)
 
 

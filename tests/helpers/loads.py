@@ -40,7 +40,7 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Profile:
-    """A load profile by its name and the parameters that it uses  [s, N m, Hz, rad].
+    """A load profile by its name and the parameters that it uses  [s, N m, Hz].
 
     `step`, `ramp`, `smooth`, `lag` and `pulse` lead from the plant's torque before the load step to the one after it, a
     `table` from its first torque to its last, and a `sine` swings about the torque after.
@@ -53,7 +53,6 @@ class Profile:
     torques: tuple = ()
     amplitude: float = 0.0
     frequency: float = 0.0
-    phase: float = 0.0
 
     def pieces(self, before, after):
         """The load from t = 0 on, each piece up to where the next one begins."""
@@ -76,7 +75,7 @@ class Profile:
             ]
             return (*lines, Piece(*knots[-1]))
         if self.name == "sine":
-            swing = self.amplitude * np.exp(1j * (self.phase - np.pi / 2))
+            swing = -1j * self.amplitude
             return (Piece(0.0, after, 0.0, swing, 2j * np.pi * self.frequency),)
         return (Piece(0.0, after),)
 
@@ -111,6 +110,6 @@ def table(times: Sequence[float], torques: Sequence[float]):
     return Profile("table", times=tuple(map(float, times)), torques=tuple(map(float, torques)))
 
 
-def sine(amplitude, frequency, phase=0.0):
-    """The torque after the load step, plus amplitude sin(2π frequency t + phase)."""
-    return Profile("sine", amplitude=amplitude, frequency=frequency, phase=phase)
+def sine(amplitude, frequency):
+    """The torque after the load step, plus amplitude sin(2π frequency t)."""
+    return Profile("sine", amplitude=amplitude, frequency=frequency)
