@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from clunk.cli.options import PATH
+from clunk.study.errors import ClunkError
 
 # The title and the files that make each; a preset has no title, and a title stands before tables.
 _STARTERS = {
@@ -34,6 +35,8 @@ def init(path: Path | None, origin: str, force: bool, schema: bool) -> None:
     """
     from importlib.resources import files
 
+    from clunk.results.files import write_text
+
     if schema:
         import json
 
@@ -51,13 +54,7 @@ def init(path: Path | None, origin: str, force: bool, schema: bool) -> None:
         click.echo(text, nl=False)
         return
     text = text.replace("clunk.toml", path.name)
-    if path.is_dir():
-        raise click.ClickException(f"{path} is a directory; name a file in it.")
     if path.exists() and not force:
-        raise click.ClickException(f"{path} exists; --force overwrites it.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise click.ClickException(f"{path} cannot be written: {error.strerror}.") from error
+        raise ClunkError(f"{path} exists; --force overwrites it.")
+    write_text(path, text)
     click.echo(f"wrote {path}; next: clunk sweep {path}", err=True)

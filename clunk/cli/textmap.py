@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clunk.results.labels import FAILED
-from clunk.study.arrays import Floats, Positions
+from clunk.study.arrays import Positions
 from clunk.study.axes import RUN
 from clunk.study.records import fill
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 _COLUMNS, _ROWS = 64, 20  # of a map, beside the numbers of its upward axis
 _WIDEST = 3  # columns of a cell
 _SYMBOLS = {"NI": ".", FAILED: "?"}  # of other labels letters, and # where there are no more
-_NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 def is_drawable(axes: Sequence[ResultAxis]) -> bool:
@@ -50,14 +49,12 @@ def text_map(results: AnyMap) -> list[str]:
     ticks = [f"{value:.4g}" for value in upward[0].values[rows]] if upward else [""]
     margin = max(map(len, ticks))
     lines = [_heading(axis) for axis in upward]
-    for k, (tick, of_row) in enumerate(zip(ticks, shown.T.tolist(), strict=True)):
-        is_ticked = k in (0, len(rows) // 2, len(rows) - 1)
-        cells = "".join(symbols[name] * wide for name in of_row)
-        lines.append(f"{tick if is_ticked else '':>{margin}} |{cells}")
-    below = [_scale(x.values[columns], wide), _heading(x)]
-    lines += [" " * (margin + 2) + line for line in below] + [""]
-    legend = "   ".join(f"{symbols[name]}{_NO_BREAK}{name}" for name in labels)
-    return lines + [line.replace(_NO_BREAK, " ") for line in fill(legend).splitlines()]
+    for tick, of_row in zip(ticks, shown.T.tolist(), strict=True):
+        lines.append(f"{tick:>{margin}} |{''.join(symbols[name] * wide for name in of_row)}")
+    first, last = (f"{x.values[columns[k]]:.4g}" for k in (0, -1))
+    below = f"{first:<{len(columns) * wide - len(last)}} {last}", _heading(x)
+    lines += [" " * (margin + 2) + line for line in below]
+    return [*lines, "", *fill("   ".join(f"{symbols[name]} {name}" for name in labels)).splitlines()]
 
 
 def _shown(axis: ResultAxis, most: int) -> Positions:
@@ -65,13 +62,6 @@ def _shown(axis: ResultAxis, most: int) -> Positions:
     count = len(axis.values)
     places = np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)
     return np.argsort(axis.values, kind="stable")[places]
-
-
-def _scale(values: Floats, wide: int) -> str:
-    """The first, the middle and the last value below their columns, each so wide."""
-    middle = len(values) // 2
-    first, centre, last = (f"{values[k]:.4g}" for k in (0, middle, -1))
-    return f"{f'{first:<{middle * wide}}{centre}':<{len(values) * wide - len(last)}} {last}"
 
 
 def _heading(axis: ResultAxis) -> str:

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from clunk.study.arrays import Floats
-from clunk.study.document import Place
 from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table
 
 LARGEST_GRID = 2**31  # cells
@@ -70,13 +69,6 @@ class Axis(Table):
     def count_of_values(self) -> int:
         """Number of values that the axis has."""
         return len(self.values) if self.values is not None else self.count or 0
-
-    @property
-    def ends(self) -> list[tuple[Place, float]]:
-        """Least and greatest value, each with its place in the axis."""
-        if self.values is None:
-            return [((key,), getattr(self, key)) for key in ("start", "stop")]
-        return [(("values", self.values.index(end)), end) for end in (min(self.values), max(self.values))]
 
     @property
     def grid(self) -> Floats:

@@ -178,11 +178,6 @@ class Parts:
         self._waiting.clear()  # after it is on the disk; written twice, a cell is read once
         self._written = time.monotonic()
 
-    @property
-    def on_disk(self) -> bool:
-        """Whether any part has been written."""
-        return self._number > 0
-
     def _refuse_other_sweeps(self, study: Study) -> None:
         """Compare with the directory's manifest; one that cannot be read is removed, as parts identify themselves."""
         path = self.directory.path / "manifest.json"

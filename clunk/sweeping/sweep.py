@@ -180,8 +180,6 @@ class Job:
             if self.path is not None:
                 stopped.add_note(self.kept)
             raise
-        if parts is not None and parts.on_disk:  # a sweep shorter than the first part is not worth a file
-            parts.flush()
         result = reduction.result(provenance(engine))
         if self.earlier is not None and isinstance(result, Results):
             result = mended(self.earlier, result, self.study)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,15 +26,13 @@ from clunk.sweeping.cells import Flag, Grid
 from clunk.sweeping.reduction import Labels, Reduction
 from clunk.sweeping.tiles import Layout, Tile
 
-_QUANTILE_FIELDS = [f"severity_{100 * quantile:g}" for quantile in QUANTILES]
-
 TOLERANCE_CELL = np.dtype(
     [
         ("outcomes", np.int32),  # number of labels
         ("nominal_status", np.uint8),
         ("status", np.uint8),  # of the first draw that failed
         ("severity_mean", np.float64),
-        *((name, np.float64) for name in _QUANTILE_FIELDS),
+        ("severity_quantiles", np.float64, (len(QUANTILES),)),
     ],
     align=True,
 )
@@ -130,7 +129,6 @@ class ToleranceReduction(Reduction):
         is_known = records["nominal_status"] == Status.OK
         nominal = np.full(self.rows, FAILED_CODE, np.int16)
         nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
-        quantiles = np.stack([records[name] for name in _QUANTILE_FIELDS], axis=-1)
         return ToleranceMap(
             **self.heading(),
             labels=labels,
@@ -139,9 +137,9 @@ class ToleranceReduction(Reduction):
                 "probability": (runs / self._sample.draws).reshape(*shape, len(labels) + 1),
                 "sequence": most_likely(runs).reshape(shape),
                 "nominal_sequence": nominal.reshape(shape),
-                "severity_mean": records["severity_mean"].copy().reshape(shape),
-                "severity_quantiles": quantiles.reshape(*shape, len(QUANTILES)),
-                "status": records["status"].copy().reshape(shape),
+                "severity_mean": records["severity_mean"].reshape(shape),
+                "severity_quantiles": records["severity_quantiles"].reshape(*shape, len(QUANTILES)),
+                "status": records["status"].reshape(shape),
             },
             attributes=attributes,
         )
@@ -164,13 +162,13 @@ def sample_of(study: Study, drawn: Sequence[Floats]) -> tuple[ResultAxis, ...]:
     return tuple(sample)
 
 
-def _summary(codes: Codes, severity: Floats, status: npt.NDArray[np.uint8]) -> tuple[tuple[float, ...], dict[int, int]]:
+def _summary(codes: Codes, severity: Floats, status: npt.NDArray[np.uint8]) -> tuple[tuple[Any, ...], dict[int, int]]:
     """A cell's TOLERANCE_CELL, and how many draws have each code; of its runs, the last is the nominal one."""
     nominal = int(codes[-1])
     runs = {} if nominal == FAILED_CODE else {nominal: 0}
     found, counts = np.unique(codes[:-1][codes[:-1] != FAILED_CODE], return_counts=True)
     runs |= dict(zip(found.tolist(), counts.tolist(), strict=True))
     known = severity[:-1][np.isfinite(severity[:-1])]
-    statistics = (known.mean(), *np.quantile(known, QUANTILES)) if known.size else (np.nan,) * (1 + len(QUANTILES))
+    mean, quantiles = (known.mean(), np.quantile(known, QUANTILES)) if known.size else (np.nan, np.nan)
     first_failed = int(status[np.argmax(status[:-1] != Status.OK)])
-    return (len(runs), int(status[-1]), first_failed, *statistics), runs
+    return (len(runs), int(status[-1]), first_failed, mean, quantiles), runs
