@@ -196,8 +196,8 @@ class TestPage:
         numbers = {"lash.contact.damping": damping}
         page.wait_for("header", "lash.contact.damping = 47", *expected(study, cell(5.0, 6.0) | numbers))
         changed = sweep(replace_values(study, numbers), boundaries=False)
-        shares = {label: f"{100.0 * count / changed.sequence.size:.3g} %" for label, count in changed.counts().items()}
-        page.wait_for("legend", *(f"{label}&nbsp;{share}" for label, share in shares.items() if label != "failed"))
+        shares = {label: f"{100.0 * count / changed.sequence.size:.2g} %" for label, count in changed.counts().items()}
+        page.wait_for("legend", *(f"{label}: {share}" for label, share in shares.items() if label != "failed"))
         page.driver.execute_script("model('slider lash.contact.damping').value = 94.0")
         page.wait_for("status", "the config's own numbers")
 

@@ -148,7 +148,7 @@ def sensitivity(
     Parameters
     ----------
     study : Study
-        With two tolerances or more, whose draws are independent; its axes are ignored. The sampling's count is n, a
+        With tolerances whose draws are independent; its axes are ignored. The sampling's count is n, a
         power of two.
     of : sequence of str, optional
         Quantities, in the words of `clunk.results.quantities`: a number; or what is 1 where something holds and else 0,

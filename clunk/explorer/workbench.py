@@ -98,7 +98,6 @@ class Workbench:
         self._run: Shown | None = None
         self._pins: list[Shown] = []
         self._pins_next = False
-        self._requested: tuple[dict[str, float], dict[str, float]] | None = None  # run
         self._requested_map: tuple[Any, ...] | None = None
 
         results = subject.results
@@ -292,9 +291,6 @@ class Workbench:
     def _request_run(self) -> None:
         cell = self._cell if self._hovered is None else self._hovered
         values, numbers = self._values(cell), self._controls.numbers
-        if (values, numbers) == self._requested:
-            return
-        self._requested = values, numbers
 
         def work(request: Request) -> None:
             try:
@@ -380,8 +376,6 @@ class Workbench:
                 if note := compiling_note(subject.study):
                     self._say_soon(note)
                 warm_up(subject.study)  # so that the first map with other numbers does not wait for it
-                if note:
-                    self._say_soon("compiled")
                 return
             self._newest_run.wait(_FIRST_RUN if self._run is None else _RUN)  # it is wanted at once
             status = f"the {'nominal ' if nominal else ''}map with these numbers, which is in no file"
