@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_thresholds import DURATION, LASH, NOMINAL, RAMP, RATIO, axis
+from test_thresholds import DURATION, LASH, NOMINAL, RAMP, axis
 
 import clunk as clunk_api
 from clunk.analysis.quantiles import probabilities, threshold_quantiles
@@ -19,7 +19,6 @@ from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import get_value
-from clunk.sweeping import cells as sweeping
 
 RAMPED = NOMINAL.replace("ratio = 5.0", 'profile = "ramp"\nratio = 5.0')
 FEW = axis("load.ratio", 4.0, 8.0, 3)
@@ -97,15 +96,6 @@ def test_quantiles_of_single_thresholds_are_those_of_numpy(ramps):
             if share > 0.5:  # of half and half, what is safe goes before
                 ((begin, end),) = result.where(True, load_ratio=ratio, quantile=share)
                 assert (begin, -end) == (0.0, np.quantile(-values, share, method="inverted_cdf"))
-
-
-def test_each_drawn_driveline_is_prepared_once(monkeypatch):
-    prepare_many, prepared = sweeping.prepare_many, []
-    monkeypatch.setattr(sweeping, "prepare_many", lambda *points: prepared.extend(points[2]) or prepare_many(*points))
-    thresholds(
-        study(FEW, RATIO.replace("load.ratio", "lash.backlash_deg"), INERTIA), along="lash.backlash_deg", workers=1
-    )
-    assert len(prepared) == 8
 
 
 @pytest.mark.parametrize(
