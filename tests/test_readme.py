@@ -150,6 +150,12 @@ def test_the_readme_is_short_and_names_every_topic():
     assert set(re.findall(r"\(clunk/cli/help/([\w-]+)\.md\)", text)) == {page.stem for page in TOPICS}
 
 
+def test_the_readme_tells_the_durations_at_which_ramps_change_their_labels():
+    """Those that `test_thresholds` finds, to 1 ms."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert all(f"{limit:.3f}" in text for limit in (0.143, 0.188, 0.240, 0.283, 0.375, 0.511))
+
+
 def test_enough_is_run_to_notice_a_fence_that_is_not_found():
     assert sum(len(list(commands(page))) for page in PAGES) >= 35
     assert sum(block.count(">>>") for page in PAGES for block in blocks(page, "python")) >= 15
