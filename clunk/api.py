@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, is_traced, with_boundaries
 from clunk.analysis.fitted import Fitted
-from clunk.analysis.small_gap import thresholds_of
+from clunk.analysis.marks import thresholds_of
 from clunk.results import targets
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap

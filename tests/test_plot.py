@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from clunk import plot
-from clunk.analysis.ridge import ridge_of
+from clunk.analysis.marks import ridge_of
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.drawing import strip
 from clunk.plot.layers import Layers

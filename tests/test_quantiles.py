@@ -9,7 +9,7 @@ import pytest
 from test_thresholds import DURATION, LASH, NOMINAL, RAMP, axis
 
 import clunk as clunk_api
-from clunk.analysis.quantiles import probabilities, threshold_quantiles
+from clunk.analysis.quantiles import threshold_quantiles
 from clunk.analysis.thresholds import thresholds
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import quantile_figure
@@ -65,12 +65,12 @@ def test_each_draw_changes_where_its_driveline_alone_changes(ramps):
 
 def test_shares_of_the_draws_are_the_probabilities_of_a_tolerance_map(ramps):
     by_cell = clunk_api.tolerance_map(ramps.study)
+    values, draws = ramps.along.values[1:-1], len(ramps.axes[0].values)
     for cell in range(3):
-        edges, shares = probabilities(ramps, cell)
-        inside = np.searchsorted(edges, ramps.along.values[1:-1]) - 1
+        drawn = [[*ramps.intervals(3 * draw + cell)] for draw in range(draws)]
+        holds = [[ramps.word(code) for x in values for begin, end, code in each if begin < x <= end] for each in drawn]
         expected = quantity_of("double_sided", by_cell).of_runs(by_cell)[cell, 1:-1]
-        assert shares[inside, ramps.words.index(True)].tolist() == expected.tolist()
-        assert shares.sum(axis=1) == pytest.approx(1.0)
+        assert np.mean(holds, axis=0).tolist() == expected.tolist()
 
 
 def test_a_tolerance_of_the_key_itself_shifts_its_thresholds():
@@ -109,15 +109,14 @@ def test_what_is_no_quantile_is_refused(ramps, quantiles, message):
 
 def test_quantiles_need_draws(ramps):
     without = replace(ramps, axes=ramps.axes[1:])
-    for function in (threshold_quantiles, probabilities):
-        with pytest.raises(ClunkError, match=r"no \[\[sweep.tolerances\]\]"):
-            function(without)
+    with pytest.raises(ClunkError, match=r"no \[\[sweep.tolerances\]\]"):
+        threshold_quantiles(without)
 
 
-def test_pictures_have_curves_of_each_quantile_or_probabilities(ramps):
+def test_pictures_have_curves_of_each_quantile(ramps):
     result = threshold_quantiles(ramps, [0.5, 0.95])
     undrawn = thresholds(nominal(ramps.study), along="load.duration", of="double_sided")
-    (ax,) = quantile_figure(ramps, result, undrawn).axes
+    (ax,) = quantile_figure(result, undrawn).axes
     values = [set(result.value[result.cell % 2 == k]) for k in (0, 1)] + [set(undrawn.value)]
     colours = dict.fromkeys(line.get_color() for line in ax.lines)  # in the order in which they are drawn
     drawn = [{y for line in ax.lines if line.get_color() == colour for y in line.get_ydata()} for colour in colours]
@@ -126,13 +125,9 @@ def test_pictures_have_curves_of_each_quantile_or_probabilities(ramps):
         assert all(min(abs(value - each) for each in curve) < 0.001 for value in located)  # what can be seen apart
     names = ["no", "yes", "in 50 %", "in 95 %", "without tolerances"]
     assert [text.get_text() for text in ax.figure.legends[0].get_texts()] == names
-    alone = thresholds(study(COARSE, INERTIA, of=RAMP), along="load.duration")
-    undrawn = thresholds(nominal(alone.study), along="load.duration")
-    (ax,) = quantile_figure(alone, threshold_quantiles(alone), undrawn).axes
-    assert ax.get_ylabel() == "Probability"
     more = (*ramps.axes, ResultAxis("lash.radius", np.array([1.0, 2.0]), "", "", "m"))
     with pytest.raises(PlotError, match="over one other axis"):
-        quantile_figure(ramps, result, replace(undrawn, axes=more))
+        quantile_figure(result, replace(undrawn, axes=more))
 
 
 def test_the_command_says_and_writes_quantiles_or_draws(command, here):

@@ -1,13 +1,13 @@
 """The boundary network of a regime map over one or two axes: which labels meet where, to 1e-9 of each axis.
 
-Of two axes, regions thinner than a cell are looked for (`clunk.analysis.thin`), the lines are traced
-(`clunk.analysis.tracing`), linked to curves and closed to regions (`clunk.analysis.network`), and each curve gets its
-event (`clunk.analysis.boundaryevents`). Of one axis, they are its thresholds (`clunk.analysis.thresholds`).
+Of two axes, lines are traced (`clunk.analysis.lines`), linked to curves and closed to regions
+(`clunk.analysis.network`), and each curve gets its event (`clunk.analysis.boundaryevents`). Of one axis, they are its
+thresholds (`clunk.analysis.thresholds`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -189,28 +189,23 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None, pr
         crossings = [[node for node in path.nodes if node >= 0] for path in paths]
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
         events = events_between(point_runs.runner, lash, values_at(below), values_at(above))
-        words, number = point_runs.numbered(len(results.labels))
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings = [ring for region in regions for ring in region]
 
-    def codes_of(codes: Iterable[int]) -> npt.NDArray[np.int16]:
-        """Codes of the labels in the place of those of the runs."""
-        return number[np.array(list(codes), np.int64)].astype(np.int16)
-
     return Boundaries(
         axes=results.axes,
-        labels=tuple(map(str, words)),
+        labels=tuple(map(str, point_runs.words)),
         vertices=values_at(np.concatenate([np.zeros((0, 2)), *(path.vertices for path in paths)])),
         curve_counts=np.array([len(path.vertices) for path in paths], np.int32),
-        curve_left=codes_of(path.left for path in paths),
-        curve_right=codes_of(path.right for path in paths),
+        curve_left=np.array([path.left for path in paths], np.int16),
+        curve_right=np.array([path.right for path in paths], np.int16),
         curve_event=events.astype(np.int8),
         junctions=values_at(junctions),
-        junction_labels=_filled([sorted(codes_of(codes).tolist()) for codes in junction_labels]),
+        junction_labels=_filled(junction_labels),
         ring_vertices=values_at(np.concatenate([ring.vertices for ring in rings])),
         ring_counts=np.array([len(ring.vertices) for ring in rings], np.int32),
         region_rings=np.array([len(region) for region in regions], np.int32),
-        region_label=codes_of(region[0].label for region in regions),
+        region_label=np.array([region[0].label for region in regions], np.int16),
         region_area=np.array([sum(ring.area for ring in region) for region in regions]),
         unresolved=values_at(_one_of_each_cell(lines.unresolved, across, upward)),
     )

@@ -9,10 +9,10 @@ import numpy as np
 
 from clunk.analysis.search import POINT, Points
 from clunk.core.status import Status
-from clunk.results.labels import FAILED_CODE, excursions
+from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
 from clunk.results.regimemap import Results
-from clunk.study.arrays import Codes, Floats
+from clunk.study.arrays import Floats
 from clunk.study.rules import count_of_regimes
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress
@@ -90,12 +90,7 @@ class PointRuns:
             return results.margin
         return base.of_runs(results) - float(self.outcome.bound)
 
-    def numbered(self, known: int = 0) -> tuple[tuple[Word, ...], Codes]:
-        """The outcomes and each code's number among them, of failed runs -1.
-
-        Those known before keep theirs; others follow in an order that does not depend on that of the runs.
-        """
-        words = [*self._codes]
-        new = sorted(words[known:], key=lambda word: (excursions(word), word) if isinstance(word, str) else (word, ""))
-        ordered = (*words[:known], *new)
-        return ordered, np.array([*map(ordered.index, words), FAILED_CODE])
+    @property
+    def words(self) -> tuple[Word, ...]:
+        """The outcome of each code."""
+        return tuple(self._codes)

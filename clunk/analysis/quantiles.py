@@ -22,17 +22,6 @@ from clunk.study.errors import ClunkError
 QUANTILE = "quantile"  # the axis in the place of `draw`
 
 
-def probabilities(thresholds: Thresholds, cell: int = 0) -> tuple[Floats, Floats]:
-    """Probability of each outcome along the key in a cell of the axes behind `draw`, as thresholds of tolerances have.
-
-    Returns the ends of the intervals in which it is constant, (m + 1,), and the shares of the draws in each, of the
-    outcomes in the order of `words` and last of `failed`, (m, words + 1). Raises ClunkError without draws.
-    """
-    draws = _draws(thresholds)
-    counts, edges, _ = _counts(thresholds, cell, thresholds.lowest.size // draws)
-    return edges, counts / draws
-
-
 def check(quantiles: Sequence[float]) -> None:
     """Raise ClunkError where quantiles are not such as `threshold_quantiles` takes."""
     for quantile in quantiles:

@@ -29,7 +29,7 @@ import numpy as np
 from clunk.analysis.pointruns import PointRuns, Word
 from clunk.analysis.search import POINT, TOLERANCE, Points, brackets, narrow, with_hidden
 from clunk.core.status import Status
-from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.labels import FAILED, FAILED_CODE, excursions
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
@@ -276,13 +276,15 @@ def thresholds(
         low, high = narrow(brackets(points), run, span, tolerance_of_failures=OFF_FAILURES, most=_MOST)
     order = np.lexsort((low["value"], low["cell"]))
     low, high = low[order], high[order]
-    words, renumbered = point_runs.numbered()
+    found = point_runs.words
+    words = sorted(found, key=lambda word: (excursions(word), word) if isinstance(word, str) else (word, ""))
+    renumbered = np.array([*map(words.index, found), FAILED_CODE])
     return Thresholds(
         study=study,
         along=along_axis,
         axes=axes,
         outcome=point_runs.outcome,
-        words=words,
+        words=tuple(words),
         lowest=renumbered[points["outcome"][np.unique(points["cell"], return_index=True)[1]]],
         cell=low["cell"].copy(),
         value=0.5 * (low["value"] + high["value"]),

@@ -69,7 +69,7 @@ def plot(
       clunk plot results/tolerance.h5 --quantity severity_95
     """
     from clunk import plot as plots
-    from clunk.analysis.small_gap import thresholds_of
+    from clunk.analysis.marks import thresholds_of
     from clunk.results import targets
     from clunk.results.store import read_map
     from clunk.study.axes import LASH

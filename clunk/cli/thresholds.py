@@ -136,7 +136,7 @@ def thresholds(
 
         if draws:
             raise click.UsageError("--draws has no picture; -o FILE.csv takes the thresholds of each draw.")
-        plot.other_axis(axes, is_needed=not is_toleranced)
+        plot.other_axis(axes)
     terminal.warm_up(study)
     began = time.perf_counter()
     located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=True)
@@ -154,7 +154,7 @@ def thresholds(
     if output is not None and is_picture:
         if is_toleranced:
             undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, lash=lash, workers=workers)
-            figure = plot.quantile_figure(located, result, undrawn)
+            figure = plot.quantile_figure(result, undrawn)
         else:
             figure = plot.threshold_figure(located)
         terminal.save_picture(figure, output)

@@ -20,7 +20,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
-from clunk.analysis.ridge import ridge_of
+from clunk.analysis.marks import ridge_of
 from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
 from clunk.plot.layers import MOST_LABELS, Layers
 from clunk.plot.plane import cell_edges, drawn_axes, fixed_parameters, scale_panels, value_text

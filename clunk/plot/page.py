@@ -11,7 +11,7 @@ from html import escape
 
 from matplotlib.figure import Figure
 
-from clunk.analysis.small_gap import thresholds_of
+from clunk.analysis.marks import thresholds_of
 from clunk.core.status import Status
 from clunk.plot.drawing import default_quantities, draw
 from clunk.plot.maps import MOST_VALUES

@@ -1,6 +1,6 @@
 """Thresholds as curves over one other axis, with the outcomes between them.
 
-Under tolerances they are quantiles, as curves over one other axis, or probabilities along the key without one.
+Under tolerances they are quantiles.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from clunk.analysis.quantiles import QUANTILE, probabilities
+from clunk.analysis.quantiles import QUANTILE
 from clunk.analysis.thresholds import DRAW, Thresholds, word_text
 from clunk.plot import style
-from clunk.plot.plane import cell_edges, scale_axis, scale_panels, value_text
+from clunk.plot.plane import cell_edges, scale_panels, value_text
 from clunk.results.labels import FAILED_CODE
 from clunk.study.axes import ResultAxis
 
@@ -28,18 +28,15 @@ _ALL = slice(None)
 _WITHOUT: dict[str, Any] = {"color": style.INK, "linewidth": 1.2, "linestyle": "--", "label": "without tolerances"}
 
 
-def other_axis(axes: Sequence[ResultAxis], *, is_needed: bool = False) -> ResultAxis | None:
-    """The axis with several values beside the key, if there is one.
-
-    Raises PlotError where there are more, or none and one is needed.
-    """
+def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis:
+    """The axis with several values beside the key. Raises PlotError where there is none, or more than one."""
     several = [axis for axis in axes if len(axis.values) > 1 and axis.parameter not in (DRAW, QUANTILE)]
     if len(several) > 1:
         names = " and ".join(axis.parameter for axis in several)
         raise style.PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
-    if is_needed and not several:
+    if not several:
         raise style.PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")
-    return several[0] if several else None
+    return several[0]
 
 
 @style.styled()
@@ -48,8 +45,7 @@ def threshold_figure(thresholds: Thresholds) -> Figure:
 
     Raises PlotError where there is not one other axis with several values.
     """
-    x = other_axis(thresholds.axes, is_needed=True)
-    assert x is not None
+    x = other_axis(thresholds.axes)
     figure = style.new_figure()
     ax = figure.subplots()
     fills = _outcome_fills(thresholds)
@@ -125,22 +121,18 @@ def _outcome_fills(thresholds: Thresholds) -> dict[int, str]:
 
 
 @style.styled()
-def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Thresholds) -> Figure:
+def quantile_figure(quantiles: Thresholds, nominal: Thresholds) -> Figure:
     """Bands over the other axis in which a share of the drawn drivelines has one outcome, darker for a larger share.
 
-    drawn : thresholds of each draw
-    quantiles : of these thresholds
     nominal : thresholds without tolerances, drawn as dashed curves
 
-    Without another axis, the probability of each outcome along the key. Raises PlotError where there are more.
+    Raises PlotError where there is not one other axis with several values.
     """
-    x = other_axis(nominal.axes)
-    line = _heading(f"share of {len(drawn.axes[0].values):,} drivelines", nominal)
+    x, study = other_axis(nominal.axes), quantiles.study
+    assert study.sweep is not None
+    line = _heading(f"share of {study.sweep.sampling.count:,} drivelines", nominal)
     figure = style.new_figure()
     ax = figure.subplots()
-    if x is None:
-        style.lay_out(figure, ax, drawn.study.title, line, _draw_probabilities(ax, drawn, nominal))
-        return figure
     fills = _outcome_fills(quantiles)
     shares = quantiles.axes[-1].values  # the last axis is that of the quantiles
     seen: set[int] = set()
@@ -152,21 +144,5 @@ def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Threshold
     _draw_bands(ax, nominal, x, {}, **_WITHOUT)
     scale_panels(figure, [ax], (x, quantiles.along))
     notes = [*_notes(quantiles, sorted(seen), fills), *notes, Line2D([], [], **_WITHOUT)]
-    style.lay_out(figure, ax, drawn.study.title, line, notes)
+    style.lay_out(figure, ax, study.title, line, notes)
     return figure
-
-
-def _draw_probabilities(ax: Axes, drawn: Thresholds, nominal: Thresholds) -> list[Artist]:
-    """Draw the probability of each outcome along the key, one upon the other; returns their notes."""
-    edges, shares = probabilities(drawn)
-    fills = _outcome_fills(drawn)
-    codes = [code for code, share in zip(fills, shares.T, strict=True) if share.any()]
-    until_the_end = np.pad(shares[:, codes].T, ((0, 0), (0, 1)), "edge")
-    look: dict[str, Any] = {"colors": [fills[code] for code in codes], "edgecolor": style.INK, "linewidth": 0.5}
-    ax.stackplot(edges, until_the_end, step="post", **look)
-    _, without = _bands(nominal, 0)
-    for value in without:
-        ax.axvline(value, **_WITHOUT)
-    scale_axis(ax, "x", drawn.along)
-    ax.set(xlim=drawn.along.values[[0, -1]], ylim=(0.0, 1.0), ylabel="Probability")
-    return [*_notes(drawn, codes, fills), *(Line2D([], [], **_WITHOUT) for _ in without[:1])]

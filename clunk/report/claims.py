@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.ridge import ridge_of
+from clunk.analysis.marks import ridge_of
 from clunk.core.events import TOUCH
 from clunk.report.evidence import CONTACTS, NOMINAL_RATIO, RATIOS, Evidence, acceleration_range
 from clunk.results.labels import double_sided

@@ -1,7 +1,11 @@
-"""Boundaries of a regime map: curves between two labels, junctions of three or four, and the regions in between."""
+"""Boundaries of a regime map: curves between two labels, junctions of three or four, and the regions in between.
+
+In a file they are ragged arrays as CF lays them out, with a number of vertices for each curve and ring.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
@@ -9,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.labels import FAILED
+from clunk.results.dataset import Variable, flags, meanings_of
+from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.study.arrays import Array, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.records import Rows, as_text, counted
@@ -24,6 +29,25 @@ EVENTS = (
 )
 NO_LABEL = -2  # in the place of a fourth label where three meet
 UNKNOWN, OPPOSITE_FLANK, INITIAL_FLANK, STICKING_ENDS, STICKING_TIME, END_TIME = range(len(EVENTS))
+
+_FIRST = "boundary_vertices"  # in a file that has boundaries; it names the lash
+_VARIABLES = (  # name, field of `Boundaries`, dimensions, description, meaning of its codes, dimension that it counts
+    (_FIRST, "curve_counts", ("boundary",), "number of vertices", "", "boundary_vertex"),
+    ("boundary_left", "curve_left", ("boundary",), "label on the left of the curve", "labels", ""),
+    ("boundary_right", "curve_right", ("boundary",), "label on the right of the curve", "labels", ""),
+    ("boundary_event", "curve_event", ("boundary",), "event that changes the label", "events", ""),
+    ("junction_labels", "junction_labels", ("junction", "junction_label"), "labels that meet", "labels", ""),
+    ("region_sequence", "region_label", ("region",), "label of the region", "labels", ""),
+    ("region_area", "region_area", ("region",), "share of the map, along its axes as spaced", "", ""),
+    ("region_rings", "region_rings", ("region",), "number of rings, first the outer one", "", "ring"),
+    ("ring_vertices", "ring_counts", ("ring",), "number of vertices", "", "ring_vertex"),
+)
+_PLACES = (  # prefix of a variable for each axis, field, dimension
+    ("boundary", "vertices", "boundary_vertex"),
+    ("junction", "junctions", "junction"),
+    ("ring", "ring_vertices", "ring_vertex"),
+    ("unresolved", "unresolved", "unresolved"),
+)
 
 
 class Curve(NamedTuple):
@@ -220,3 +244,41 @@ def _feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, An
         "geometry": {"type": geometry, "coordinates": coordinates},
         "properties": properties,
     }
+
+
+def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
+    """Variables of boundaries by name, after the numbers along their dimensions."""
+    meanings = {
+        "labels": dict(enumerate(boundaries.labels)) | {FAILED_CODE: FAILED, NO_LABEL: "none"},
+        "events": dict(enumerate(EVENTS)),
+        "": {},
+    }
+    variables: dict[str, Variable] = {}
+    for name, field, dims, long_name, coded, counts in _VARIABLES:
+        values = getattr(boundaries, field)
+        attributes: dict[str, str | Array] = {"units": "1", "long_name": long_name}
+        attributes |= {"sample_dimension": counts} if counts else {}
+        attributes |= {"lash": boundaries.lash} if boundaries.lash and name == _FIRST else {}
+        variables[name] = Variable(dims, values, attributes | flags(meanings[coded], values.dtype))
+    for prefix, field, dim in _PLACES:
+        for axis, values in zip(boundaries.axes, getattr(boundaries, field).T, strict=False):
+            attributes = {"units": axis.unit, "long_name": axis.name}
+            variables[f"{prefix}_{axis.variable}"] = Variable((dim,), np.ascontiguousarray(values), attributes)
+    lengths = {dim: n for each in variables.values() for dim, n in zip(each.dims, each.values.shape, strict=True)}
+    numbers = {dim: np.arange(1, length + 1, dtype=np.int32) for dim, length in lengths.items()}
+    described: dict[str, str | Array] = {"units": "1", "long_name": "number"}
+    return {dim: Variable((dim,), each, described) for dim, each in numbers.items()} | variables
+
+
+def boundaries_of(variables: Mapping[str, Variable], axes: tuple[ResultAxis, ...]) -> Boundaries | None:
+    """The boundaries among some variables, None without any. Raises KeyError and ValueError where they are damaged."""
+    if _FIRST not in variables:
+        return None
+    fields: dict[str, Any] = {field: variables[name].values for name, field, *_ in _VARIABLES}
+    for prefix, field, _ in _PLACES:
+        names = [f"{prefix}_{axis.variable}" for axis in axes]
+        columns = [variables[name].values for name in names if name in variables]
+        fields[field] = np.column_stack(columns) if columns else np.zeros((0, 2))
+    words = meanings_of(variables["boundary_left"])
+    labels = tuple(words[code] for code in range(len(words) - 2))
+    return Boundaries(axes=axes, labels=labels, lash=str(variables[_FIRST].attributes.get("lash", "")), **fields)

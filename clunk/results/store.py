@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clunk.results.boundaryvariables import boundaries_of, variables_of
+from clunk.results.boundaries import boundaries_of, variables_of
 from clunk.results.dataset import Dataset, Variable, flags, meanings_of
 from clunk.results.labels import FAILED_CODE
 from clunk.results.netcdf import StoreError, content_digest, read, refusing_damage, write

@@ -44,7 +44,7 @@ def swept(config: str, options: list[str], directory: Path) -> Path:
 def draw(path: Path, quantity: str) -> dict[str, float]:
     """Seconds of processor time to draw and to save one picture, and the most memory by then  [s, MiB]."""
     from clunk import plot
-    from clunk.analysis.small_gap import thresholds_of
+    from clunk.analysis.marks import thresholds_of
     from clunk.plot import drawing  # noqa: F401  what is imported is not counted
     from clunk.results.store import read_map
 

@@ -1,13 +1,16 @@
-"""Thresholds of vanishing backlash on the axes of a map, by all modes of the locked chain (report §3.2)."""
+"""What is marked on maps: loads at which impacts appear as the backlash vanishes (report §3.2), and ridges."""
+
+import numpy as np
 
 from clunk.results.maps import Map
 from clunk.simulation.linear import rigid_contact_thresholds, thresholds_on
+from clunk.study.arrays import Floats
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
 
 
 def thresholds_of(results: Map) -> list[float]:
-    """Values of the swept load at which one more impact appears as the backlash vanishes.
+    """Values of the swept load at which one more impact appears as the backlash vanishes, by all modes when locked.
 
     They are those of the first load ratio or torque that changes, for a driveline in which all other keys have the
     values of these results; empty where there is none, where shafts have friction, of which the linear view knows
@@ -25,3 +28,20 @@ def thresholds_of(results: Map) -> list[float]:
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
     study = replace_values(study, fixed)
     return [float(value) for value in thresholds_on(study, parameter, rigid_contact_thresholds(study))]
+
+
+def ridge_of(values: Floats) -> Floats:
+    """Index along the second axis of the largest value in each row of the first, where that is an interior maximum.
+
+    values : (nx, ny); returns (nx,) float, NaN where the largest value is not positive, lies on the border of the map,
+    beside a value that is not known, or within 0.1 % of either end's: on a plateau rounding would choose the place.
+    """
+    ridge = np.full(len(values), np.nan)
+    for row, column in enumerate(values):
+        if np.isnan(column).all():
+            continue
+        top = int(np.nanargmax(column))
+        interior = 0 < top < len(column) - 1 and np.isfinite(column[[top - 1, top + 1]]).all()
+        if interior and column[top] > 0.0 and not (column[[0, -1]] > 0.999 * column[top]).any():
+            ridge[row] = top
+    return ridge
