@@ -27,7 +27,7 @@ RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each ot
 _MOST_ROUNDS = 128
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 8  # on an edge, that are told apart
-_BESIDE = 0.1  # of the way from a crossing to the far end of its edge, where that is cut
+_BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
 _RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 6, 20_000
 # Of these, with which edges are cut that have several crossings, with which others are, and crossings located on edges.
 _SEVERAL, _CUT, _ON_EDGES = 0.5, 0.75, 0.9
@@ -325,8 +325,9 @@ class Lines:
         """
         positions = self.triangles.positions[corners]
         ends = self.position(keys_of(corners[:, :1], corners[:, 1:]).ravel()).reshape(-1, 2, 2)
-        chord, far = ends[:, 1] - ends[:, 0], positions[:, 2] - positions[:, 1]
-        is_off = (_length(chord) > CHORD) & (_length(far) > CHORD)
+        chord, sides = ends[:, 1] - ends[:, 0], np.roll(positions, -1, axis=1) - positions
+        height = np.abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
+        is_off: Bools = (_length(chord) > CHORD) & (height > CHORD)
         asked = np.flatnonzero(is_off)
         if not asked.size or not self._may_run():
             return is_off
