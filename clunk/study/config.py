@@ -34,7 +34,7 @@ from clunk.study.parameters import Names, complaint, names_of, place_of
 from clunk.study.problems import ConfigError, Problem, listing, nearest, report, shorten
 from clunk.study.study import Study
 from clunk.study.tables import Finding
-from clunk.study.validation import validated
+from clunk.study.validation import validated, with_tuples
 
 # Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
 _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (
@@ -126,7 +126,7 @@ def study_from_text(
         document["driveline"].pop("preset", None)
     findings += _fill_in(document, assigned)
     _number_free_keys(document)
-    study, wrong = validated(Study, document, document.get("driveline"))
+    study, wrong = validated(Study, with_tuples(document), document.get("driveline"))
     findings += wrong
     if study is not None and not findings and not malformed:
         of_file = raw.get("load", {}) if ("load", "profile") not in assignments else {}

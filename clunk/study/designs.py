@@ -22,7 +22,7 @@ from clunk.study.parameters import located, nominal_value, quantity
 from clunk.study.problems import Problem, report
 from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Draw
-from clunk.study.validation import validated
+from clunk.study.validation import validated, with_tuples
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +116,10 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     ConfigError
         Where a value is not one that a config may hold.
     """
-    columns = {dotted(located(study, key)[0]): np.asarray(values).tolist() for key, values in points.items()}
-    axes = [{"parameter": parameter, "values": values} for parameter, values in columns.items()]
+    columns = {
+        dotted(located(study, key)[0]): with_tuples(np.asarray(values).tolist()) for key, values in points.items()
+    }
+    axes = tuple({"parameter": parameter, "values": values} for parameter, values in columns.items())
     document = {**study.model_dump(exclude=NOT_OF_A_RUN), "sweep": {"design": "zip", "axes": axes}}
     walked, findings = validated(Study, document)
     if walked is not None:

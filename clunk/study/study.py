@@ -107,7 +107,7 @@ def refuse_points(study: Study, parameters: Sequence[str], values: Floats) -> No
     each point by itself.
     """
     ends = zip(parameters, values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True) if values.size else ()
-    axes = [{"parameter": parameter, "values": (least, greatest)} for parameter, least, greatest in ends]
+    axes = tuple({"parameter": parameter, "values": (least, greatest)} for parameter, least, greatest in ends)
     document = study.model_dump(exclude=NOT_OF_A_RUN)
     if validated(Study, {**document, "sweep": {"design": "zip", "axes": axes}})[0] is None:
         for point in values.tolist():

@@ -16,10 +16,11 @@ Model = TypeVar("Model", bound=BaseModel)
 def validated(model: type[Model], table: Any, driveline: Any = None) -> tuple[Model | None, list[Finding]]:
     """Validate the tables of a config: their model, or what is wrong with them.
 
+    table : with tuples for lists, see `with_tuples`
     driveline : the table of the inertias and their names, by which other tables may refer to them
     """
     try:
-        return model.model_validate(_with_tuples(table), context=driveline), []
+        return model.model_validate(table, context=driveline), []
     except ValidationError as error:
         errors = [(*_place(detail["loc"]), detail) for detail in error.errors(include_url=False)]
     unknown = {place: _likely_key(place) for place, _, detail in errors if detail["type"] == "extra_forbidden"}
@@ -37,12 +38,12 @@ def validated(model: type[Model], table: Any, driveline: Any = None) -> tuple[Mo
     return None, sorted(findings, key=lambda finding: finding[0] not in unknown)
 
 
-def _with_tuples(node: Any) -> Any:
+def with_tuples(node: Any) -> Any:
     """A table with lists as tuples: strict models take no lists for tuples."""
     if isinstance(node, dict):
-        return {key: _with_tuples(value) for key, value in node.items()}
+        return {key: with_tuples(value) for key, value in node.items()}
     if isinstance(node, list | tuple) and any(isinstance(item, dict | list | tuple) for item in node):
-        return tuple(_with_tuples(item) for item in node)
+        return tuple(with_tuples(item) for item in node)
     return tuple(node) if isinstance(node, list) else node
 
 
