@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from clunk.core.exact.polynomial import first_negative_of, sign_changes, turning_points, value_of, zero_between
+from clunk.core.exact.polynomial import derivatives, first_negative_of, sign_changes, turning_points, zero_between
 from clunk.core.rk4.quartic import extremes, first_negative, stationary_points
 
 APART = 1e-3
@@ -130,7 +130,7 @@ def extremes_of(c, length):
     """The largest and the smallest value, by the turning points."""
     points = room(c)
     turns = turning_points(c, length, points, ladder(c))
-    values = [value_of(c, len(c), s) for s in (0.0, length, *points[:turns])]
+    values = [derivatives(c, len(c), s)[0] for s in (0.0, length, *points[:turns])]
     return max(values), min(values)
 
 
@@ -207,7 +207,7 @@ def test_chebyshev_waves_have_all_their_extremes_and_zeros(degree):
 
 def zero_in_unit(c):
     """Between 0 and 1."""
-    return zero_between(c, c.size, 0.0, 1.0, value_of(c, c.size, 0.0), value_of(c, c.size, 1.0))
+    return zero_between(c, c.size, 0.0, 1.0, derivatives(c, c.size, 0.0)[0], derivatives(c, c.size, 1.0)[0])
 
 
 @given(st.floats(1e-12, 1.0 - 1e-12), st.integers(1, 7), st.floats(0.0, 2.0))

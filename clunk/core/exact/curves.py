@@ -49,12 +49,6 @@ class Origin(NamedTuple):
 
 
 @inlined_part
-def weight(table: Table, row: int, column: int) -> Vector | float:
-    """A number of a table whose rows have eight."""
-    return vectors.number(table, row * ROW + column)
-
-
-@inlined_part
 def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
     """What a pair of coordinates adds to the number of a functional that begins at a place of `watch`."""
     return fused(other, vectors.number(watch, at + BLOCK), one * vectors.number(watch, at))

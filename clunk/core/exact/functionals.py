@@ -45,23 +45,15 @@ def gather(space: Workspace, table: FloatArray, first: int, count: int, to: Floa
 
 
 @part
-def gather_flow(space: Workspace, flow: int) -> None:
-    """Gather what a step reads in any case: a flow's functionals and their origins."""
+def gather_functionals(space: Workspace, flow: int, first: int, count: int) -> None:
+    """Gather some of a flow's functionals, and the origins of all."""
     vectors.stay_apart()
-    flows = space.flows
-    watched, origins = flows.watch[0, 0].size, flows.origin_output[0, 0].size
-    gather(space, flows.watch, flow * watched, watched, space.lane_watch)
+    watch, output = space.flows.watch, space.flows.origin_output
+    watched, origins = watch[0, 0, 0].size, output[0, 0].size
+    at = (flow * watch.shape[2] + first) * watched
+    gather(space, watch, at, count * watched, space.lane_watch[first * watched :])
     read = origins // 4 if is_still(space, flow) else origins
-    gather(space, flows.origin_output, flow * origins, max(read, ROW), space.lane_output_origins)
-
-
-@part
-def gather_functional(space: Workspace, flow: int, f: int) -> None:
-    """Gather one of a flow's functionals alone."""
-    vectors.stay_apart()
-    watch = space.flows.watch
-    watched = watch[0, 0, 0].size
-    gather(space, watch, (flow * watch.shape[2] + f) * watched, watched, space.lane_watch[f * watched :])
+    gather(space, output, flow * origins, max(read, ROW), space.lane_output_origins)
 
 
 @inlined_part

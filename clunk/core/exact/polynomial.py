@@ -9,19 +9,11 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @part
-def value_of(c: FloatArray, count: int, s: float) -> float:
-    """c[0] + c[1] s + ... + c[count - 1] s^(count - 1): Horner's rule, even and odd powers side by side."""
-    square = s * s
-    even, odd = c[count - 1] if count % 2 else 0.0, 0.0
-    for k in range(count // 2 - 1, -1, -1):
-        even = even * square + c[2 * k]
-        odd = odd * square + c[2 * k + 1]
-    return even + s * odd
-
-
-@part
 def derivatives(c: FloatArray, count: int, s: float) -> tuple[float, float, float]:
-    """The same, with its first and half its second derivative."""
+    """Value, slope and half the second derivative of c[0] + c[1] s + ... + c[count - 1] s^(count - 1).
+
+    By Horner's rule, even and odd powers side by side.
+    """
     square = s * s
     even, odd = c[count - 1] if count % 2 else 0.0, 0.0
     even_slope, odd_slope, even_half, odd_half = 0.0, 0.0, 0.0, 0.0  # by s²
@@ -76,14 +68,12 @@ def sign_changes(c: FloatArray, count: int, length: float, points: FloatArray, l
         highest_terms += abs(c[k]) * power
     if abs(c[0]) > highest_terms or count < 2:
         return 0
-    derivative = ladder[count - 1]
-    for k in range(count - 1):
-        derivative[k] = (k + 1) * c[k + 1]
-    pieces = sign_changes(derivative, count - 1, length, points, ladder) + 1
+    _differentiate(c, count, ladder)
+    pieces = sign_changes(ladder[count - 1], count - 1, length, points, ladder) + 1
     kept, low, before = 0, 0.0, c[0]
     for piece in range(pieces):
         high = points[piece] if piece < pieces - 1 else length
-        after = value_of(c, count, high)
+        after, _, _ = derivatives(c, count, high)
         if (before < 0.0) != (after < 0.0):
             points[kept] = zero_between(
                 c, count, low, high, before, after
@@ -96,10 +86,15 @@ def sign_changes(c: FloatArray, count: int, length: float, points: FloatArray, l
 @part
 def turning_points(c: FloatArray, length: float, points: FloatArray, ladder: FloatArray) -> int:
     """Write the points of (0, length) at which the slope changes sign to `points`, in order; return their number."""
-    derivative = ladder[c.size - 1]
-    for k in range(c.size - 1):
-        derivative[k] = (k + 1) * c[k + 1]
-    return sign_changes(derivative, c.size - 1, length, points, ladder)
+    _differentiate(c, c.size, ladder)
+    return int(sign_changes(ladder[c.size - 1], c.size - 1, length, points, ladder))
+
+
+@part
+def _differentiate(c: FloatArray, count: int, ladder: FloatArray) -> None:
+    """Write the coefficients of the derivative to row `count` - 1 of `ladder`."""
+    for k in range(count - 1):
+        ladder[count - 1, k] = (k + 1) * c[k + 1]
 
 
 @part

@@ -8,9 +8,9 @@ from clunk.core.jit import inlined_part
 
 # A run's numbers that steps change.
 ELAPSED = 0  # s, in the phase
-ZERO = 1  # which guard is zero, and how many of its derivatives are, see `zero_of`
-TRY = 2  # s, the longest span that is proposed next
-_FIRST = 3
+ZERO_GUARD, ZERO_ORDER = 1, 2  # which guard is zero, and how many of its derivatives are, itself included; or none
+TRY = 3  # s, the longest span that is proposed next
+_FIRST = 4
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
 PHASE_MAX, PHASE_MIN = 2, 3  # and in the phase
@@ -44,18 +44,6 @@ AT_END = 2  # of the run, or of the load's piece
 SETTLED = 3  # it is proved that nothing follows
 LOST = 4  # nothing is finite any more
 BY_EVENT = 5  # a guard turned negative: RUN's `guard`
-
-
-@inlined_part
-def zero_of(guard: int, order: int) -> float:
-    """The number for a guard, of which so many derivatives are zero, itself included, at most 3; without any, 0."""
-    return float(4 * guard + order) if guard >= 0 and order > 0 else 0.0
-
-
-@inlined_part
-def guard_and_order(zero: float) -> tuple[int, int]:
-    """The guard and the order of `zero_of`; without any, -1 and 0."""
-    return (int(zero) // 4, int(zero) % 4) if zero > 0.0 else (-1, 0)
 
 
 @inlined_part

@@ -111,7 +111,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     row.time, row.count, row.regime = time, entry.written, regime
     for k in range(x.size):
         space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
-    numbers[rows.ZERO] = rows.zero_of(entry.zero_guard, entry.zero_order)
+    numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     entered = system.regimes[regime]
     for k in range(inputs_of(system)):
         space.numbers[slot, space.inputs_at + k] = system.weights[regime, k] * inputs[k]
@@ -165,7 +165,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
             if space.mixed != 0:
                 functionals.note_drivelines(space, flow, 1)
-                functionals.gather_flow(space, flow)
+                functionals.gather_functionals(space, flow, 0, space.flows.watch.shape[2])
             if queue >= queues.enter:  # and take the first step at once
                 _enter_coordinates(space, flow, count)
                 short = space.flows.modal[0, flow] == 0
@@ -175,7 +175,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             flow, functional = divmod(queue - queues.search, space.flows.watch.shape[2])
             if space.mixed != 0:
                 functionals.note_drivelines(space, flow, space.searches_each)
-                functionals.gather_functional(space, flow, functional)
+                functionals.gather_functionals(space, flow, functional, 1)
             conclude(space, queue, count, search(space, flow, functional, count))
         for k in range(pool.length[queues.follow]):
             _follow(space, pool.waiting[queues.follow, k])
@@ -226,7 +226,9 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log_of(space, slot), row.count):
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
-    entry = Entry(row.count, row.regime, *rows.guard_and_order(space.numbers[slot, space.behind + rows.ZERO]))
+    numbers = space.numbers[slot, space.behind :]
+    zero_guard = int(numbers[rows.ZERO_GUARD]) if numbers[rows.ZERO_ORDER] > 0.0 else -1
+    entry = Entry(row.count, row.regime, zero_guard, int(numbers[rows.ZERO_ORDER]))
     if system.impulsive != 0:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
         for lash in range(lashes):

@@ -169,7 +169,7 @@ def _search_one_by_one(space: Workspace, mask: int, once: int) -> int:
             c[j] = vectors.number(space.series, j * WIDTH + lane)
         falls = c[1] < 0.0
         for k in range(polynomial.turning_points(c, notes[2, lane], points, space.ladder)):
-            value = polynomial.value_of(c, TERMS, points[k])
+            value, _, _ = polynomial.derivatives(c, TERMS, points[k])
             if points[k] >= notes[3, lane]:
                 if falls:
                     notes[1, lane] = min(notes[1, lane], value)

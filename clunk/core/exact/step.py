@@ -13,8 +13,6 @@ Between its parts a step keeps rows of lanes: OF_OUTPUT in `outputs` for each fu
 guard. Guards of one functional share its rows, those from `alike * OF_OUTPUT` on, `alike` being the first such guard.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
@@ -61,17 +59,6 @@ _ORIGIN_OF_IT = 5  # in rows of `accelerations`, behind the acceleration itself,
 _START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
 
 
-class _Lanes(NamedTuple):
-    """The lanes of a step, as masks, by what came of it."""
-
-    settled: int  # nothing can follow
-    lost: int  # nothing is finite any more
-    ends: int  # the end of the run is reached, if nothing happens before
-    close: int  # not even the shortest span will probably pass next
-    grazing: int  # a guard all but turned negative
-    happened: int  # an event
-
-
 @inlined_part
 def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     """Take a step with the `count` runs that have been taken: of a span, or of a part of the shortest one.
@@ -85,7 +72,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     shortest, elapsed = shortest_span(space, flow), field(space, rows.ELAPSED)
     time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
-    _evaluate_guards(space, regime)
+    _see_guards(space, regime, False)
     may_widen = _may_widen_windows(space, flow, time_left)
     settled, kinks, at_most = 0, 0, field(space, rows.TRY)
     if flows.steady[0, flow] != 0:
@@ -126,7 +113,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     advancing &= ~failed
     searching = _watch_accelerations(space, flow, h, advancing)
     searching |= _find_misses(space, regime, event, h, advancing)
-    set_field(space, rows.ZERO, zero)
+    set_field(space, rows.ZERO_ORDER, zero)
     set_field(space, rows.TRY, zero + np.inf)
     happened = (event >= 0.0) & advancing
     arrived = ends & kinks & ~lost
@@ -144,60 +131,42 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     else:
         push_all(pool, space.queues.short + group, advancing & ~special)
     push_all(pool, space.queues.follow, special & ~searching)
-    _note_outcomes(space, special, event, _Lanes(settled, lost, ends, close, grazing, happened))
-
-
-@inlined_part
-def _note_outcomes(space: Workspace, special: int, event: Vector, lanes: _Lanes) -> None:
-    """Write to some runs how the step ended for them, and by which guard."""
-    vectors.store(space.notes, 0, event)
+    if special == 0:
+        return
+    # how the step ended, the first that holds
+    ended = vectors.choose(close, float(rows.NEARS), zero + float(rows.GOES_ON))
+    ended = vectors.choose(happened, float(rows.BY_EVENT), vectors.choose(ends, float(rows.AT_END), ended))
+    ended = vectors.choose(settled, float(rows.SETTLED), vectors.choose(lost, float(rows.LOST), ended))
+    vectors.store(space.notes, 0, (ended, event))
     while special != 0:
         lane = vectors.first_of(special)
         special &= special - 1
-        run, bit = space.runs[space.pool.items[lane]], 1 << lane
-        if lanes.grazing & bit:
-            run.quality |= QUALITY_GRAZING
-        if lanes.settled & bit:
-            run.ended = rows.SETTLED
-        elif lanes.lost & bit:
-            run.ended = rows.LOST
-        elif lanes.happened & bit:
-            run.ended, run.guard = rows.BY_EVENT, int(space.notes[0, lane])
-        else:
-            run.ended = rows.AT_END if lanes.ends & bit else (rows.NEARS if lanes.close & bit else rows.GOES_ON)
+        run = space.runs[pool.items[lane]]
+        run.ended, run.guard = int(space.notes[0, lane]), int(space.notes[1, lane])
+        run.quality |= QUALITY_GRAZING * (grazing >> lane & 1)
 
 
 @inlined_part
-def _evaluate_guards(space: Workspace, regime: int) -> None:
-    """The guards at the step's beginning: zero to the last bit where one is known to be."""
+def _see_guards(space: Workspace, regime: int, at_end: bool) -> None:
+    """Write the guards at the step's end, or at its beginning: zero to the last bit where one is known to be."""
     system, outputs, flow = space.system, space.outputs, space.system.regimes[regime].flow
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
-        at = alike * OF_OUTPUT
+        at, row = alike * OF_OUTPUT, n * OF_GUARD
+        origin_at = at + (_moved_origin(space, flow) if at_end else _ORIGIN)
         if alike == n:
-            away, sway = functionals.evaluate(space, flow, f, True)
+            away, sway = functionals.evaluate(space, flow, f, not at_end)
             vectors.store(outputs, at + _AWAY, away)
-            vectors.store(outputs, at + _SWAY, sway)
-            _store_origin(space, flow, f, at + _ORIGIN)
-        guard = _guard(space, regime, n, at, at + _ORIGIN)
-        vectors.store(space.guards, n * OF_GUARD + _START, guard)
-        vectors.store(
-            space.guards, n * OF_GUARD + _START, vectors.choose(_zero_order(space, n) == 1.0, 0.0, guard.value)
-        )
-
-
-@inlined_part
-def _store_origin(space: Workspace, flow: int, f: int, row: int) -> None:
-    """Write a functional's origin to `outputs`."""
-    origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
-    vectors.store(space.outputs, row, origin)
-
-
-@inlined_part
-def _guard(space: Workspace, regime: int, n: int, at: int, origin_at: int) -> curves.Curve:
-    """Guard n, by the functional that is kept from row `at` on, and its origin."""
-    away, origin = load_curve(space.outputs, at + _AWAY), curves.load_origin(space.outputs, origin_at)
-    return curves.as_guard(away, origin, _sign(space, regime, n), _shift(space, n))
+            if not at_end:
+                vectors.store(outputs, at + _SWAY, sway)
+            if not at_end or not is_still(space, flow):
+                origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
+                vectors.store(outputs, origin_at, origin)
+        away, origin = load_curve(outputs, at + _AWAY), curves.load_origin(outputs, origin_at)
+        guard = curves.as_guard(away, origin, _sign(space, regime, n), _shift(space, n))
+        vectors.store(space.guards, row + (_END if at_end else _START), guard)
+        if not at_end:
+            vectors.store(space.guards, row + _START, vectors.choose(_zero_order(space, n) == 1.0, 0.0, guard.value))
 
 
 @inlined_part
@@ -241,11 +210,7 @@ def _bar(space: Workspace, regime: int, n: int) -> Vector:
 @inlined_part
 def _zero_order(space: Workspace, n: int) -> Vector:
     """How many derivatives of guard n are zero at the step's beginning, itself included."""
-    zeros = field(space, rows.ZERO)
-    if (zeros > 0.0) == 0:
-        return vectors.splat(0.0)
-    order = zeros - 4.0 * n
-    return vectors.choose((order > 0.0) & (order < 4.0), order, 0.0)
+    return vectors.choose(field(space, rows.ZERO_GUARD) == float(n), field(space, rows.ZERO_ORDER), 0.0)
 
 
 @inlined_part
@@ -309,7 +274,7 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
     passes = int(k >= 0.0)
     for n in range(count):
         passes &= vectors.load(guards, n * OF_GUARD + _START) >= 0.0
-    if (field(space, rows.ZERO) > 0.0) != 0:
+    if (field(space, rows.ZERO_ORDER) > 0.0) != 0:
         for n in range(count):  # where a guard is zero with its slope, its series decides
             passes &= ~(_zero_order(space, n) > 1.0)
     return h, k, ~passes
@@ -435,26 +400,17 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
     close : int
         The lanes where not even the shortest span will probably pass next.
     """
-    system, guards, outputs = space.system, space.guards, space.outputs
-    flow, count = system.regimes[regime].flow, system.regimes[regime].guards
-    shortest = shortest_span(space, flow)
-    failed, close = 0, 0
-    for n in range(system.regimes[regime].watched):
-        alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
-        at, row = alike * OF_OUTPUT, n * OF_GUARD
-        if alike == n:
-            away, _ = functionals.evaluate(space, flow, f, False)
-            vectors.store(outputs, at + _AWAY, away)
-            if not is_still(space, flow):
-                _store_origin(space, flow, f, at + _ORIGIN_MOVED)
-        start = load_curve(guards, row + _START)
-        end = curves.with_bounds(_guard(space, regime, n, at, at + _moved_origin(space, flow)), start)
+    guards, entered = space.guards, space.system.regimes[regime]
+    shortest, failed, close = shortest_span(space, entered.flow), 0, 0
+    _see_guards(space, regime, True)
+    for n in range(entered.watched):
+        row = n * OF_GUARD
+        start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
         least, _, remainder = curves.between(start, end, h)
-        vectors.store(guards, row + _END, end)
         vectors.store(guards, row + _LEAST, least)
         vectors.store(guards, row + _REMAINDER, remainder)
-        if n < count:
-            close |= curves.guess(end, shortest) <= 0.0
+        if n < entered.guards:
+            close |= curves.guess(curves.with_bounds(end, start), shortest) <= 0.0
             failed |= ~(vectors.smaller(least, end.value) > 0.0)
     return failed, close
 

@@ -6,8 +6,8 @@ Elsewhere they are searched one by one, by `polynomial`.
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact.curves import A_SIXTH, Origin, weight
-from clunk.core.exact.flows import TERMS
+from clunk.core.exact.curves import A_SIXTH, Origin
+from clunk.core.exact.flows import LONG, TERMS
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import Table, Vector, fused
@@ -35,7 +35,7 @@ def expand(
     for j in range(TERMS):
         total = vectors.splat(0.0)
         for k in range(size):
-            total = fused(vectors.load(work, k), weight(series, 2 * k, j), total)
+            total = fused(vectors.load(work, k), vectors.number(series, k * LONG + j), total)
         if j == 0:
             total += origin.value
         elif j == 1:

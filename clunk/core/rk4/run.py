@@ -124,7 +124,11 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             index, offset, zero_guard = index + spanned, 0.0, -1
 
             # full steps as long as nothing can happen in them
-            _load(steps, flow, phase, x, room)
+            for k in range(x.size):
+                room.z[k] = x[k]
+            outputs = room.z[steps.transfer.shape[1] :][: steps.observe.shape[2]]
+            _combine(steps.observe_input[flow], phase.inputs, outputs)
+            _add(steps.observe[flow], x, outputs)
             clear, over = True, False
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
@@ -211,28 +215,19 @@ def make_room(system: System, steps: Steps, capacity: int) -> Room:
 
 
 @part
-def _combine(weights: FloatArray, inputs: FloatArray, out: FloatArray) -> None:
-    """out = weightsᵀ inputs."""
+def _combine(weights: FloatArray, numbers: FloatArray, out: FloatArray) -> None:
+    """out = weightsᵀ numbers."""
     for r in range(out.size):
-        out[r] = weights[0, r] * inputs[0]
-    for k in range(1, inputs.size):
-        for r in range(out.size):
-            out[r] += weights[k, r] * inputs[k]
+        out[r] = 0.0
+    _add(weights, numbers, out)
 
 
 @part
-def _load(steps: Steps, flow: int, phase: Phase, x: FloatArray, room: Room) -> None:
-    """Put a state and its outputs where `_coast` steps them."""
-    columns, z = steps.transfer.shape[1], room.z
-    for k in range(x.size):
-        z[k] = x[k]
-    for r in range(steps.observe.shape[2]):
-        value = steps.observe_input[flow, 0, r] * phase.inputs[0]
-        for k in range(1, phase.inputs.size):
-            value += steps.observe_input[flow, k, r] * phase.inputs[k]
-        for k in range(x.size):
-            value += steps.observe[flow, k, r] * x[k]
-        z[columns + r] = value
+def _add(weights: FloatArray, numbers: FloatArray, out: FloatArray) -> None:
+    """Add weightsᵀ numbers to `out`."""
+    for k in range(numbers.size):
+        for r in range(out.size):
+            out[r] += weights[k, r] * numbers[k]
 
 
 @inlined_part
