@@ -134,7 +134,7 @@ def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused
     reproduction.write_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)])
     assert path.read_text() == once
     path.write_text("no marks")
-    for wrong, sentence in ((path, "has no place for the claims"), (tmp_path / "none.md", "cannot be read")):
+    for wrong, sentence in ((path, "has no place for the claims"), (tmp_path / "none.md", "does not exist")):
         with pytest.raises(ClunkError, match=sentence):
             reproduction.write_tables(wrong, [broken])
 

@@ -37,6 +37,7 @@ from clunk.sweeping.runner import Runner
 MATCH = np.dtype([("pattern", "u8"), ("distance", "f8"), ("axis", "i8"), ("change", "f8"), ("misfit", "f8")])
 
 _CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, either way
+_TOGETHER = 40_000  # measured values of candidates that are run together, each with all of its changes
 _OUTLIERS = 0.02  # share of measured quantities that are far off
 _OUTLIER_SCALE = 10.0  # of these, in standard deviations
 _PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
@@ -96,6 +97,11 @@ class Candidates:
 
     def run(self, numbers: Floats) -> Records:
         """Run candidates, (n, d), at all operating points; returns MATCH, (n, points)."""
+        together = max(1, _TOGETHER // self.points.size)
+        return np.concatenate([self._run_some(numbers[k : k + together]) for k in range(0, len(numbers), together)])
+
+    def _run_some(self, numbers: Floats) -> Records:
+        """Run as many candidates as there is memory for."""
         study = measuring(self.study, ())
         keys = dict.fromkeys([*self.axes, *(prior.parameter for prior in self.priors)])
         runner = Runner(study, [*keys], engine=self._engine)  # new: there are too many drivelines to keep

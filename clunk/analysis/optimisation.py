@@ -291,7 +291,7 @@ def optimize(
             points = _explored(problem)
             merits = problem.merit(problem(points))
             for start in range(_STARTS):
-                found.append(_searched(problem, points, merits, np.random.default_rng([_table(study).seed, start])))
+                found.append(_searched(problem, points, merits, np.random.default_rng([problem.optimize.seed, start])))
         except KeyboardInterrupt as stopped:
             if found:
                 stopped.args = (_optimum(problem, study, found), *stopped.args)
@@ -299,7 +299,7 @@ def optimize(
     best = _optimum(problem, study, found)
     if not has_tolerances(study):
         return best
-    free = _table(study).model_copy(update={"robust": None})
+    free = problem.optimize.model_copy(update={"robust": None})
     undrawn = optimize(nominal(study).model_copy(update={"optimize": free}), lash=lash, workers=workers)
     return replace(best, value_of_nominal=undrawn.value, runs=best.runs + undrawn.runs)
 

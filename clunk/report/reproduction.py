@@ -12,11 +12,12 @@ from clunk.analysis.comparison import compare
 from clunk.plot import comparisons, histories
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
-from clunk.results.files import reason, write_text
+from clunk.results.files import write_text
 from clunk.results.store import write_results
 from clunk.simulation.history import History, sample
 from clunk.simulation.linear import rigid_contact_thresholds
 from clunk.simulation.small_gap import SmallGap
+from clunk.study.document import read_text
 from clunk.study.errors import ClunkError
 from clunk.study.records import plain
 
@@ -44,10 +45,7 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
 
     The table ``errors`` has the claims that are known not to hold, ``agrees`` the others. Raises ClunkError.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ClunkError(f"{path} cannot be read: {reason(error) if isinstance(error, OSError) else error}.") from error
+    text = read_text(path, "a page with the claims", "a Markdown file", ".")
     for name, agrees in (("errors", False), ("agrees", True)):
         begin = f"<!-- claims: {name} -->\n"
         rows = ["| where | the report | clunk |", "| --- | --- | --- |"]
