@@ -191,7 +191,6 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None, pr
         events = events_between(point_runs.runner, lash, values_at(below), values_at(above))
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings = [ring for region in regions for ring in region]
-
     return Boundaries(
         axes=results.axes,
         labels=tuple(map(str, point_runs.words)),

@@ -45,7 +45,7 @@ _PATTERNS = {
 def most_runs(cells: int, cost: int = 1) -> int:
     """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches.
 
-    cost : see `OutcomeRuns`
+    cost : see `PointRuns`
     """
     return _RUNS_OF_ANY_MAP // cost + _RUNS_PER_CELL * cells
 
@@ -159,7 +159,7 @@ class Lines:
 
     triangles : Triangles
     run : runs points (n, 2); returns (n,) POINT
-    cost : see `OutcomeRuns`
+    cost : see `PointRuns`
     keys, brackets : (n,) keys of edges with a crossing, ascending, and of each the two ends of its bracket (n, 2, 2),
         from the first node on
     met, met_labels : (m, 2) triple points, and the codes of the labels that meet there (m, 3)
@@ -229,7 +229,7 @@ class Lines:
         points = self.triangles.runs[nodes]
         points["cell"], points["value"] = np.arange(len(nodes))[:, None], positions[nodes, axis]
         points, nodes_in_order = points.ravel(), nodes.ravel()
-        found, before = with_hidden(points, lambda *at: self._run(place(*at)), _HALVINGS)
+        found, before = with_hidden(points, lambda *at: self._run(place(*at)), _HALVINGS, self._may_cut)
         hits = np.flatnonzero(found["outcome"] != points["outcome"][before])
         at, first = np.unique(before[hits], return_index=True)
         runs = found[hits[first]]

@@ -32,7 +32,7 @@ class PointRuns:
     lash : position of the one whose outcome it is
     engine : of threads
     words : outcomes that have codes already; others get the next ones
-    progress : called with the numbers of points that have been run and that are expected, after each batch
+    progress : called after each batch with the numbers of points that have been run and that are expected
     """
 
     def __init__(
@@ -60,7 +60,11 @@ class PointRuns:
         return max(1, round(steps / _STEPS), count_of_regimes(self.study) // 2 if structural else 1)
 
     def __call__(self, values: Floats, more: int = 0) -> Points:
-        """Run points; values : (n, parameters), in their units; more : number of points that are expected to follow."""
+        """Run points.
+
+        values : (n, parameters), in their units
+        more : number of points that are expected to follow; 0 if that is unknown, and so for progress the number of all
+        """
         if not len(values):
             return np.zeros(0, POINT)
         results = self.runner.run(values).of_lash(self._lash)
@@ -75,7 +79,7 @@ class PointRuns:
             self.failures[Status(status)] = self.failures.get(Status(status), 0) + int(count)
         self.count += len(values)
         if self._progress is not None:
-            self._progress(self.count, self.count + more)
+            self._progress(self.count, self.count + more if more else 0)
         return points
 
     def _word(self, value: str | float) -> Word:

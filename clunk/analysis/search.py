@@ -41,11 +41,14 @@ _SURE = 100.0  # tolerances by which polynomials of two orders differ, where the
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
 
 
-def with_hidden(points: Points, run: Run, halvings: int) -> tuple[Points, Codes]:
+def with_hidden(
+    points: Points, run: Run, halvings: int, may_run: Callable[[], bool] = lambda: True
+) -> tuple[Points, Codes]:
     """Points (n,) and further ones where other outcomes may be hidden between two of them, in the same order.
 
     points : in the order of cells and, in each, of values
     halvings : of the spacing between two points
+    may_run : asked before each batch
 
     Also returns the number of the point at or before each, (m,).
     """
@@ -53,7 +56,7 @@ def with_hidden(points: Points, run: Run, halvings: int) -> tuple[Points, Codes]
     for _ in range(halvings):
         between = np.flatnonzero(_may_hide(points))
         between = between[looked[before[between]] < _LOOKED]
-        if not between.size:
+        if not between.size or not may_run():
             break
         cells, middles = points["cell"][between], 0.5 * (points["value"][between] + points["value"][between + 1])
         runs = run(cells, middles)
