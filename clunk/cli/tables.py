@@ -10,7 +10,7 @@ import click
 from clunk.study.records import Record, Row, fill, plain, table, text_of, value_lines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from clunk.results.boundaries import Boundaries
     from clunk.results.tolerancemap import AnyMap
@@ -43,8 +43,16 @@ def print_map(results: AnyMap) -> None:
     """Print the map of each lash as text."""
     from clunk.cli.textmap import text_map
 
-    for name, part in results.by_lash().items():
-        click.echo("\n".join([*([name] if results.lashes else []), *text_map(part)]))
+    for part in _by_lash(results):
+        click.echo("\n".join(text_map(part)))
+
+
+def _by_lash(results: AnyMap) -> Iterator[Any]:
+    """The map of each lash; of several, each is announced by its name."""
+    for k, (name, part) in enumerate(results.by_lash().items()):
+        if results.lashes:
+            click.echo(("\n" if k else "") + name)
+        yield part
 
 
 def of_lashes(values: dict[str, Any]) -> Any:
@@ -54,9 +62,7 @@ def of_lashes(values: dict[str, Any]) -> Any:
 
 def print_outcomes(results: AnyMap) -> None:
     """Print how many cells each label has, or how likely it is, and other facts; lash by lash."""
-    for name, part in results.by_lash().items():
-        if results.lashes:
-            click.echo(name)
+    for part in _by_lash(results):
         print_table(part.label_table())
         click.echo()
         print_values(part.facts)

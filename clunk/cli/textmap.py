@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _COLUMNS, _ROWS = 64, 20  # of a map, beside the numbers of its upward axis
 _WIDEST = 3  # columns of a cell
+_NO_BREAK = "\N{NO-BREAK SPACE}"
 _SYMBOLS = {"NI": ".", FAILED: "?"}  # of other labels letters, and # where there are no more
 
 
@@ -54,7 +55,8 @@ def text_map(results: AnyMap) -> list[str]:
     first, last = (f"{x.values[columns[k]]:.4g}" for k in (0, -1))
     below = f"{first:<{len(columns) * wide - len(last)}} {last}", _heading(x)
     lines += [" " * (margin + 2) + line for line in below]
-    return [*lines, "", *fill("   ".join(f"{symbols[name]} {name}" for name in labels)).splitlines()]
+    legend = fill("   ".join(f"{symbols[name]}{_NO_BREAK}{name}" for name in labels))
+    return [*lines, "", *legend.replace(_NO_BREAK, " ").splitlines()]
 
 
 def _shown(axis: ResultAxis, most: int) -> Positions:

@@ -34,7 +34,8 @@ def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
     load = config.load
     for key in sorted(given):
         users = [shorten(name) for name in PROFILES if uses(name, key)]
-        if users and not uses(load.profile, key):
+        is_default = getattr(load, key) == Load.model_fields[key].default  # as of a resolved config
+        if users and not uses(load.profile, key) and not is_default:
             others = listing(users, "or")
             yield f"load.{key} is given, but a load of profile {shorten(load.profile)} has none; {others} would use it"
     times = {"load.duration", "load.time_constant", "load.times", "solver.end_time"}
