@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,36 +102,50 @@ def write_beside(raster: Raster, points: Floats, texts: Sequence[str], size: flo
 
 
 def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float] = SIZES) -> list[str]:
-    """Write each name into its region, as large as there is room; returns those that found none, in order.
+    """Write each name into its region, level or along it, as large as there is room; returns those that found none.
 
     sizes : that are tried
     """
     codes, without = np.where(raster.taken, _NOWHERE, raster.codes), []
     for code, name in enumerate(names):
-        for size in sizes:
-            centre = roomiest(codes == code, *raster.measure(name, size))
-            if centre is not None:
-                raster.write(name, *centre, size)
+        for size, is_along in product(sizes, (False, True)):
+            place = roomiest(codes == code, *raster.measure(name, size), is_along=is_along)
+            if place is not None:
+                x, y, angle = place
+                raster.write(name, x, y, size, rotation=angle)
                 break
         else:
             without.append(name)
     return without
 
 
-def roomiest(mask: Bools, width: int, height: int) -> tuple[float, float] | None:
-    """(x, y): the centre of a rectangle in the largest part of a mask that may be moved furthest in any direction."""
+def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) -> tuple[float, float, float] | None:
+    """The rectangle in the largest part of a mask that may be moved furthest in any direction.
+
+    is_along : whether it is turned along the part's longer axis of inertia, and else level
+
+    Returns its centre, (x, y), and its angle in degrees; None where there is no room.
+    """
     parts, count = ndimage.label(mask)
     if not count:
         return None
-    part = parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])
+    part, angle = parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]), 0.0
+    if is_along:
+        rows, columns = np.nonzero(part)
+        (xx, xy), (_, yy) = np.cov(columns, rows, ddof=0)
+        angle = math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy))
+    turned = ndimage.rotate(part.astype(np.uint8), angle, order=0) > 0 if is_along else part
     # Centres of rectangles that lie in the part as a whole; beyond it there is no room.
-    fits = ndimage.minimum_filter(part, (height, width), mode="constant")
+    fits = ndimage.minimum_filter(turned, (height, width), mode="constant")
     if not fits.any():
         return None
     room = ndimage.distance_transform_edt(np.pad(fits, 1))[1:-1, 1:-1]
     # Of many places as good, as along a band, the one nearest the part's middle.
     rows, columns = np.nonzero(room >= 0.93 * room.max())
-    middle = np.argwhere(part).mean(axis=0)
+    middle = np.argwhere(turned).mean(axis=0)
     nearest = np.argmin(np.hypot(rows - middle[0], columns - middle[1]))
     # the filter's window has its centre at this pixel, or half a pixel before it where it is even
-    return float(columns[nearest] + 0.5 * (width % 2)), float(rows[nearest] + 0.5 * (height % 2))
+    v = rows[nearest] + 0.5 * (height % 2 - turned.shape[0])
+    u = columns[nearest] + 0.5 * (width % 2 - turned.shape[1])
+    c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+    return c * u - s * v + 0.5 * mask.shape[1], s * u + c * v + 0.5 * mask.shape[0], angle
