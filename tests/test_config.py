@@ -4,6 +4,7 @@ import json
 import pickle
 import re
 import tomllib
+import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import get_args
@@ -279,6 +280,13 @@ def test_a_gear_ratio_of_1_is_the_ratio_of_what_has_none():
         assert get_value(geared, key) == -3.7
         assert digest(geared) != digest(plain)
         assert study_from_text(to_toml(geared)) == geared
+
+
+@pytest.mark.parametrize("text", [ONE_RUN, WHOLE, BY_TABLE], ids=["one run", "whole", "table"])
+def test_the_defaults_of_a_resolved_config_raise_no_doubts(text):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ClunkWarning)
+        study_from_text(to_toml(study_from_text(text)))
 
 
 def test_a_gear_ratio_can_be_swept_drawn_and_toleranced():
