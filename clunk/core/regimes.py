@@ -11,14 +11,15 @@ A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d,
 `clunk.core.tables` names its successor.
 """
 
+import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core.batches import alike
-from clunk.core.equilibrium import contact_torques, preload
+from clunk.core.equilibrium import preload
 from clunk.core.jit import inlined_part, part
 from clunk.core.reductions import chain, locked
 from clunk.core.status import Status
@@ -123,9 +124,6 @@ class Each(NamedTuple):
     drift: FloatArray
     end_time: FloatArray
     sticking_time: FloatArray
-
-
-_DIMENSIONS = (3, 3, 3, 3, 2, 3, 2, 3, 3, 1, 1, 2, 1, 3, 3, 2, 1, 1)  # of these arrays, of one driveline
 
 
 def alone(system: System) -> Each:
@@ -252,11 +250,6 @@ def rubs(friction: Friction, rigid: RigidMotion) -> bool:
     return bool(alike(slips.any(axis=-1), 0))
 
 
-def held(n: int) -> RigidMotion:
-    """No rigid-body motion of `n` inertias: springs hold all of them to ground."""
-    return RigidMotion(np.zeros((n, 0)), np.zeros(n), np.zeros(n), False)
-
-
 def build_system(
     *,
     inertia: FloatArray,
@@ -304,34 +297,42 @@ def build_system(
     mobility = (twists**2 / inertia[..., None, :]).sum(axis=-1)
     impulse, passed = _impacts(inertia, twists, mobility, 2**count if impulsive and count > 1 else 1)
 
+    tied = np.concatenate([twists, *(friction.twist[..., None, :] for friction in frictions)], axis=-2)
+
+    def locked_in(active: FlowOf, rates: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A and B with the constraints of a flow: rigid flanks in contact, and frictions that stick."""
+        ties = [*(impulsive * closed for closed in active.closed), *active.stuck]
+        return locked(rates, inputs, inertia, tied, ties) if any(ties) else (rates, inputs)
+
+    @functools.cache
     def flow_of(active: FlowOf) -> tuple[FloatArray, FloatArray]:
-        return _flow(inertia, damping, stiffness, load, lashes, staged, frictions, active)
+        return locked_in(active, *_flow(inertia, damping, stiffness, load, lashes, staged, frictions, active))
 
     rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, every), strict=True))
     first_rate = count * stride + len(staged)
     functionals = np.zeros((*batch, len(every), first_rate + OF_FRICTION * len(frictions), 2 * n))
     feedthrough = np.zeros((*functionals.shape[:-1], driven))
+
+    def held_in(active: FlowOf, twist: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """The torque that keeps a rate of twist constant in a flow, by state and inputs; None if the flow does so."""
+        pushed = _behind_zeros(twist / inertia)[..., None]
+        yielding = _across(twist, locked_in(active, pushed, pushed)[0][..., n:, :])
+        if alike(yielding[..., 0] <= _SINGULAR * np.sum(twist**2 / inertia, axis=-1), 0):
+            return None
+        rates, inputs = (_across(twist, matrix[..., n:, :]) / yielding for matrix in flow_of(active))
+        return rates, inputs
+
     for k, lash in enumerate(lashes):
         of_lash, fed = functionals[..., k * stride :, :], feedthrough[..., k * stride :, :]
         of_lash[..., GAP, :n] = lash.twist[..., None, :]
         of_lash[..., ACCELERATION, :] = rates[..., n + lash.acceleration_of, :]
         fed[..., ACCELERATION, :] = inputs[..., n + lash.acceleration_of, :]
-        if impulsive:  # the torque that keeps q'' at zero, also where nothing does
-            for flow, active in enumerate(every):
-                opened = active._replace(closed=(*active.closed[:k], 0, *active.closed[k + 1 :]))
-                free_rates, free_inputs = flow_of(opened)
-                others = sum(closed << j for j, closed in enumerate(opened.closed))
-                yielding = mobility[..., k, None] if others == 0 else 1.0 / passed[..., others, k, k, None]
-                if any(active.stuck):
-                    tied = np.concatenate([twists, _rows([friction.twist for friction in frictions], n)], axis=-2)
-                    pushed = _behind_zeros(lash.twist / inertia)[..., None]
-                    pushed, _ = locked(pushed, pushed, inertia, tied, [*opened.closed, *active.stuck])
-                    yielding = _across(lash.twist, pushed[..., n:, :])
-                    if alike(yielding[..., 0] <= _SINGULAR * mobility[..., k], 0):  # frictions hold it
-                        continue
-                of_lash[..., flow, FORCE, :] = _across(lash.twist, free_rates[..., n:, :]) / yielding
-                fed[..., flow, FORCE, :] = _across(lash.twist, free_inputs[..., n:, :]) / yielding
-        elif lash.separation_by_force:
+        for flow, active in enumerate(every if impulsive else ()):  # the torque that locks it, also where nothing does
+            others = active._replace(closed=(*active.closed[:k], 0, *active.closed[k + 1 :]))
+            held = held_in(others, lash.twist)
+            if held is not None:
+                of_lash[..., flow, FORCE, :], fed[..., flow, FORCE, :] = held
+        if lash.separation_by_force and not impulsive:
             of_lash[..., FORCE, :n] = _in_each_flow(lash.stiffness) * lash.twist[..., None, :]
             of_lash[..., FORCE, n:] = _in_each_flow(lash.damping) * lash.twist[..., None, :]
     for k, shaft in enumerate(staged, count * stride):
@@ -340,38 +341,34 @@ def build_system(
     for k, friction in enumerate(frictions):
         rate, torque = first_rate + OF_FRICTION * k + RATE, rubbing + OF_FRICTION * k
         for flow, active in enumerate(every):
-            free_rates, free_inputs = flow_of(active._replace(stuck=(*active.stuck[:k], 0, *active.stuck[k + 1 :])))
-            yielding = -_across(friction.twist, free_inputs[..., n:, torque, None])
-            is_held = alike(yielding[..., 0] <= _SINGULAR * np.sum(friction.twist**2 / inertia, axis=-1), 0)
-            if not is_held:
+            others = active._replace(stuck=(*active.stuck[:k], 0, *active.stuck[k + 1 :]))
+            held = held_in(others, friction.twist)
+            if held is not None:
                 functionals[..., flow, rate, n:] = friction.twist
-                functionals[..., flow, rate + HOLDING, :] = _across(friction.twist, free_rates[..., n:, :]) / yielding
-                feedthrough[..., flow, rate + HOLDING, :] = _across(friction.twist, free_inputs[..., n:, :]) / yielding
+                functionals[..., flow, rate + HOLDING, :], feedthrough[..., flow, rate + HOLDING, :] = held
                 feedthrough[..., flow, rate + HOLDING, torque] = 0.0
-            excess[flow] |= is_held and active.stuck[k]
+            excess[flow] |= held is None and active.stuck[k]
 
     motions = rigid.shape.shape[-1]
     springs = [stiffness + _of_stages(staged, stages) for stages in stages_of(staged)]
     steady = np.zeros((*batch, len(springs), 2 * n, driven))
     carried = np.zeros((*batch, len(springs), count, driven))
-    inertial = load
+    torques, gaps = np.zeros((*batch, n, driven)), np.zeros((count, driven))
+    torques[..., TORQUE] = load
     if motions:
-        inertial = load - (damping @ rigid.speeds[..., None])[..., 0] - inertia * rigid.accelerations
-    by_load = [TORQUE, *map(half_gap_of, range(count))]
+        drag = (damping @ rigid.speeds[..., None])[..., 0]
+        torques[..., TORQUE] = load - drag - inertia * rigid.accelerations
+    for k, shaft in enumerate(staged, constants):
+        torques[..., k] = -shaft.twist
+    gaps[range(count), [half_gap_of(k) for k in range(count)]] = 1.0
+    compliance = _of_lashes([0.0 if impulsive else 1.0 / lash.stiffness for lash in lashes])
+    momentum = inertia[..., None] * rigid.shape
     for k, spring in enumerate(springs if motions <= 1 else []):
-        momentum = inertia[..., None] * rigid.shape
         if staged and _is_loose(spring, inertia, twists, motions):
             steady[..., k, :, :] = np.nan  # no equilibrium, or many
             continue
-        contact = None if impulsive else _of_lashes([lash.stiffness for lash in lashes])
-        angles = preload(spring, inertial, twists, momentum, contact)
-        moving, held_by = steady[..., k, :, :], carried[..., k, :, :]
-        moving[..., :n, by_load], moving[..., n:, TORQUE] = angles, rigid.speeds
-        held_by[..., by_load] = contact_torques(spring, inertial, twists, contact, angles)
-        for j, shaft in enumerate(staged, constants):
-            angles = preload(spring, -shaft.twist, twists, momentum, contact)
-            moving[..., :n, j] = angles[..., 0]
-            held_by[..., j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[..., 0]
+        angles, carried[..., k, :, :] = preload(spring, torques, twists, gaps, momentum, compliance)
+        steady[..., k, :n, :], steady[..., k, n:, TORQUE] = angles, rigid.speeds
     status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
     drift = np.zeros((*rigid.shape.shape[:-2], 2 * n, 0))
     if status == Status.OK:
@@ -384,16 +381,21 @@ def build_system(
         rate = first_rate + OF_FRICTION * k + RATE
         is_held = ~alike(functionals[..., tables.regimes["flow"], rate, :].any(axis=-1))[:, None]
         tables.offsets[..., is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
+
+    def of_each(array: FloatArray, dimensions: int) -> FloatArray:
+        """An array of so many dimensions for each driveline of a batch, which may be common to all."""
+        return np.broadcast_to(array, (*batch, *array.shape[array.ndim - dimensions :])).copy()
+
     system = System(
         rates=rates,
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
         functionals_per_lash=stride,
-        lashes=_behind_zeros(twists),
+        lashes=of_each(_behind_zeros(twists), 2),
         inertias=n,
         ramps=int(ramps),
-        **tables._asdict(),
+        **tables._replace(offsets=of_each(tables.offsets, 3), weights=of_each(tables.weights, 2))._asdict(),
         impulsive=int(impulsive),
         impulse=_behind_zeros(impulse),
         passed=passed,
@@ -401,25 +403,17 @@ def build_system(
         locking_speed=_of_lashes(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
         ),
-        frictions=_behind_zeros(_rows([friction.twist for friction in frictions], n)),
+        frictions=of_each(_behind_zeros(tied[..., count:, :]), 2),
         friction_torques=_of_lashes([friction.most for friction in frictions], batch),
         excess=excess,
         preload=steady,
         contact_torque=carried,
-        drift=np.ascontiguousarray(drift),
+        drift=of_each(drift, 2),
         end_time=_of_lashes([end_time], batch),
         sticking_time=_of_lashes([lash.sticking_time for lash in lashes], batch),
         status=int(status),
     )
-    system = system if wave_rates is None else _with_wave(system, wave_rates)
-    if not batch:
-        return system
-    # what is common to all of a batch has no axis for it yet
-    each: dict[str, Any] = {}
-    for name, dimensions in zip(Each._fields, _DIMENSIONS, strict=True):
-        array = getattr(system, name)
-        each[name] = np.ascontiguousarray(array if array.ndim > dimensions else array[None].repeat(batch[0], axis=0))
-    return system._replace(**each)
+    return system if wave_rates is None else _with_wave(system, wave_rates)
 
 
 def _flow(
@@ -432,7 +426,7 @@ def _flow(
     frictions: Sequence[Friction],
     active: FlowOf,
 ) -> tuple[FloatArray, FloatArray]:
-    """A and B of a flow: (2n, 2n), (2n, I)."""
+    """A and B of a flow without its constraints: (2n, 2n), (2n, I)."""
     n, constants = inertia.shape[-1], INPUTS + len(lashes) - 1
     stiffness = stiffness + _of_stages(staged, active.stages)
     closed = [(k, lash) for k, lash in enumerate(lashes) if active.closed[k] and lash.restitution is None]
@@ -448,11 +442,7 @@ def _flow(
         inputs[..., n:, k] = -shaft.twist / inertia
     for k, friction in enumerate(frictions):
         inputs[..., n:, rubbing + OF_FRICTION * k] = -friction.twist / inertia
-    locks = lashes[0].restitution is not None
-    if not locks and not any(active.stuck):
-        return rates, inputs
-    twists = np.stack([*(lash.twist for lash in lashes), *(friction.twist for friction in frictions)], axis=-2)
-    return locked(rates, inputs, inertia, twists, [*(locks * closed for closed in active.closed), *active.stuck])
+    return rates, inputs
 
 
 def _impacts(inertia: FloatArray, twists: FloatArray, mobility: FloatArray, sets: int) -> tuple[FloatArray, FloatArray]:
@@ -509,11 +499,6 @@ def _of_lashes(numbers: Sequence[FloatArray | float], batch: Sequence[int] = ())
     return np.stack([np.broadcast_to(number, batch or np.shape(number)) for number in numbers], axis=-1, dtype=float)
 
 
-def _rows(rows: Sequence[FloatArray], n: int) -> FloatArray:
-    """(…, m, n) vectors (…, n) as rows."""
-    return np.stack(rows, axis=-2) if rows else np.zeros((0, n))
-
-
 def _across(twist: FloatArray, matrix: FloatArray) -> FloatArray:
     """(…, columns) a twist times the columns of a matrix, (…, n, columns)."""
     return np.asarray((twist[..., None, :] @ matrix)[..., 0, :])
@@ -535,9 +520,10 @@ def _is_loose(stiffness: FloatArray, inertia: FloatArray, lashes: FloatArray, mo
     scaled = stiffness / (root[..., :, None] * root[..., None, :])
     tied = lashes / root[..., None, :]
     units = tied / np.linalg.norm(tied, axis=-1, keepdims=True)
-    largest = np.abs(scaled).max(axis=(-2, -1), initial=0.0)[..., None, None]
-    squared = np.linalg.eigvalsh(scaled + largest * np.swapaxes(units, -1, -2) @ units)
-    return bool(alike(np.count_nonzero(squared <= _SINGULAR * squared[..., -1:], axis=-1) > motions, 0))
+    largest = np.abs(scaled).max(axis=(-2, -1), keepdims=True)
+    joined = scaled + largest * np.swapaxes(units, -1, -2) @ units
+    rank = np.linalg.matrix_rank(joined, rtol=_SINGULAR, hermitian=True)
+    return bool(alike(rank < inertia.shape[-1] - motions, 0))
 
 
 def _wider(array: FloatArray) -> FloatArray:
