@@ -18,13 +18,12 @@ from clunk.core.regimes import (
     closed_on,
     frictions_of,
     gap_input,
-    inputs_of,
     lash_of,
     lashes_of,
     opened,
 )
 from clunk.core.runs import Entry, Log, record
-from clunk.core.tables import FORCE, INPUTS, TORQUE, TORQUE_RATE
+from clunk.core.tables import FORCE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -222,9 +221,7 @@ def _resting_on(system: System, regime: int, x: FloatArray, inputs: FloatArray, 
             while last > 0 and log.events[last].lash != lash:
                 last -= 1
             if log.events[last].kind != SEPARATION:
-                twist = 0.0
-                for k in range(system.inertias):
-                    twist += system.lashes[lash, system.inertias + k] * x[k]
+                twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
                 regime += closed_on(1 if twist > 0.0 else -1) * system.regime_strides[lash]
     return int(regime)
 
@@ -269,9 +266,7 @@ def _part(
 @part
 def _part_by(share: float, system: System, held: int, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> None:
     """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
-    gap, size, n = inputs[gap_input(lash)], 0.0, system.inertias
-    for k in range(n):
-        size += abs(system.lashes[lash, n + k] * x[k])
+    gap, (_, size) = inputs[gap_input(lash)], rubbing.twist_of(system, system.lashes[lash], x)
     _hold(system, held, lash, x, side * (gap - share * (gap + size)))
 
 
@@ -281,32 +276,9 @@ def _locking_speed(system: System, regime: int, lash: int, x: FloatArray, inputs
     tolerance = system.locking_speed[lash]
     tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest
     # a rebound lower than the rounding of the gap cannot be followed
-    place, pull, n = 0.0, 0.0, system.inertias
-    for k in range(n, 2 * n):
-        weight = system.lashes[lash, k]
-        if weight != 0.0:
-            place += abs(weight * x[k - n])
-            pull += weight * _rate(system, regime, k, x, inputs)
+    pull, _ = rubbing.change_of(system, regime, system.lashes[lash], x, inputs)
+    _, place = rubbing.twist_of(system, system.lashes[lash], x)
     return float(max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place)))
-
-
-@inlined_part
-def _driven(system: System, regime: int, weights: FloatArray, inputs: FloatArray) -> float:
-    """Weights times the torque and what the staged shafts add to it; of the restitution model, no gap has a weight."""
-    total = weights[TORQUE] * inputs[TORQUE]
-    for k in range(INPUTS, inputs_of(system)):
-        total += weights[k] * system.weights[regime, k] * inputs[k]
-    return float(total)
-
-
-@inlined_part
-def _rate(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray) -> float:
-    """The rate of change of state `k` of the restitution model in a regime."""
-    flow = system.regimes[regime].flow
-    rate = _driven(system, regime, system.inputs[flow, k], inputs)
-    for j in range(x.size):
-        rate += system.rates[flow, k, j] * x[j]
-    return float(rate)
 
 
 @part
@@ -314,16 +286,9 @@ def holding_torque(
     system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray
 ) -> tuple[float, float, float]:
     """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it."""
-    flow, force = system.regimes[regime].flow, lash * system.functionals_per_lash + FORCE
-    torque_held = _driven(system, regime, system.feedthrough[flow, force], inputs)
-    slope = system.feedthrough[flow, force, TORQUE] * inputs[TORQUE_RATE]
-    scale = abs(torque_held)
-    for k in range(x.size):
-        weight = system.functionals[flow, force, k]
-        torque_held += weight * x[k]
-        slope += weight * _rate(system, regime, k, x, inputs)
-        scale += abs(weight * x[k])
-    return torque_held, slope, scale
+    force = lash * system.functionals_per_lash + FORCE
+    torque_held, scale = rubbing.holding(system, regime, force, x, inputs)
+    return torque_held, rubbing.holding_slope(system, regime, force, x, inputs)[0], scale
 
 
 @part

@@ -47,7 +47,7 @@ _MOMENT = 1e-3  # s, of the acceleration's terms, which say what that could be w
 def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
     """Set the twists at which frictions stick, inputs of a run, to those of a state  [rad]."""
     for k in range(frictions_of(system)):
-        inputs[input_of_friction(system, k) + 1] = _twist(system, k, x)
+        inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
 
 
 @part
@@ -97,7 +97,8 @@ def settle(
             event = k
     for k in range(count):
         rate, most = _rate(system, k, 0.0, x)
-        most += _speeds_up(system, regime, k, x, inputs)[1] * time  # no rate is known better than its time
+        _, speeds_up = change_of(system, regime, system.frictions[k], x, inputs)
+        most += speeds_up * time  # no rate is known better than its time
         rests = k == event or state_of_friction(system, regime, k) == STICKS or abs(rate) <= _WITHIN * most
         resting |= rests << k
     for lash in range(lashes_of(system) if system.impulsive != 0 else 0):  # one without a gap has always a flank
@@ -112,10 +113,10 @@ def settle(
         state = state_of_friction(system, best, k)
         if state == STICKS:
             if state_of_friction(system, regime, k) != STICKS:
-                inputs[input_of_friction(system, k) + 1] = _twist(system, k, x)
+                inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
         elif resting >> k & 1 and not _is_held(system, best, k):
             way = 1.0 if state == SLIPS_FORWARD else -1.0
-            speeds_up, size = _speeds_up(system, best, k, x, inputs)
+            speeds_up, size = change_of(system, best, system.frictions[k], x, inputs)
             clearly = abs(speeds_up) > _WITHIN * size
             sets_off = clearly or way * _jerk(system, best, k, x, inputs) > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
@@ -137,7 +138,7 @@ def _holds(
             holds = holds and _misfit_of_flanks(system, regime, resting_on, lash, time, x, inputs) <= _WITHIN
     for k in range(frictions_of(system)):
         if state_of_friction(system, regime, k) == STICKS:
-            torque, size = _holding(system, regime, rate_of_friction(system, k) + HOLDING, x, inputs)
+            torque, size = holding(system, regime, rate_of_friction(system, k) + HOLDING, x, inputs)
             most = system.friction_torques[k]
             holds = holds and abs(torque) - most <= _WITHIN * (size + most)
     return holds
@@ -212,8 +213,8 @@ def _misfit_of_flanks(
     if system.contacts[regime, lash].closed == 0:
         way = -way
     functional = lash * system.functionals_per_lash + FORCE
-    torque, size = _holding(system, regime, functional, x, inputs)
-    slope, slope_size = _holding_slope(system, regime, functional, x, inputs)
+    torque, size = holding(system, regime, functional, x, inputs)
+    slope, slope_size = holding_slope(system, regime, functional, x, inputs)
     size += slope_size * time
     if -way * torque > _WITHIN * size:
         return float(-way * torque / size)
@@ -230,16 +231,16 @@ def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: F
     state, most = state_of_friction(system, regime, friction), system.friction_torques[friction]
     if state == STICKS:
         functional = rate_of_friction(system, friction) + HOLDING
-        torque, size = _holding(system, regime, functional, x, inputs)
+        torque, size = holding(system, regime, functional, x, inputs)
         beyond, size = abs(torque) - most, size + most
-        leaves = torque * _holding_slope(system, regime, functional, x, inputs)[0] > 0.0
+        leaves = torque * holding_slope(system, regime, functional, x, inputs)[0] > 0.0
         if leaves and system.impulsive != 0:  # at F, and not only at the little more that it holds
             beyond = max(beyond, min(abs(torque) - most / (1.0 + ABOVE), 0.0))
     elif _is_held(system, regime, friction):
         return 0.0
     else:
         way = 1.0 if state == SLIPS_FORWARD else -1.0
-        speeds_up, size = _speeds_up(system, regime, friction, x, inputs)
+        speeds_up, size = change_of(system, regime, system.frictions[friction], x, inputs)
         beyond, leaves = -way * speeds_up, way * _jerk(system, regime, friction, x, inputs) < 0.0
     if beyond > _WITHIN * size:
         return float(beyond / size)
@@ -247,7 +248,7 @@ def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: F
 
 
 @part
-def _holding(system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
+def holding(system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
     """A torque that holds a friction or flanks in a regime, and the sum of its terms' magnitudes  [N m]."""
     flow, value, size = system.regimes[regime].flow, 0.0, 0.0
     for k in range(x.size):
@@ -260,18 +261,26 @@ def _holding(system: System, regime: int, functional: int, x: FloatArray, inputs
 
 
 @part
-def _holding_slope(
+def holding_slope(
     system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray
 ) -> tuple[float, float]:
-    """The rate of change of `_holding`, and the sum of its terms' magnitudes  [N m/s]."""
+    """The rate of change of `holding`, and the sum of its terms' magnitudes  [N m/s]."""
     flow = system.regimes[regime].flow
-    value = system.feedthrough[flow, functional, TORQUE] * inputs[TORQUE_RATE]
-    size = abs(value)
+    value, size = change_of(system, regime, system.functionals[flow, functional], x, inputs)
+    by_load = system.feedthrough[flow, functional, TORQUE] * inputs[TORQUE_RATE]
+    return value + by_load, size + abs(by_load)
+
+
+@part
+def change_of(
+    system: System, regime: int, weights: FloatArray, x: FloatArray, inputs: FloatArray
+) -> tuple[float, float]:
+    """The rate of change in a regime of weights (N,) times the state, and the sum of its terms' magnitudes."""
+    value, size = 0.0, 0.0
     for k in range(x.size):
-        weight = system.functionals[flow, functional, k]
-        if weight != 0.0:
+        if weights[k] != 0.0:
             change, terms = _change(system, regime, k, x, inputs)
-            value, size = value + weight * change, size + abs(weight) * terms
+            value, size = value + weights[k] * change, size + abs(weights[k]) * terms
     return value, size
 
 
@@ -285,18 +294,6 @@ def _change(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArr
     for j in range(inputs_of(system)):
         term = system.inputs[flow, k, j] * (system.weights[regime, j] * inputs[j])
         value, size = value + term, size + abs(term)
-    return value, size
-
-
-@part
-def _speeds_up(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
-    """The second derivative of a friction's twist in a regime, and the sum of its terms' magnitudes  [rad/s2]."""
-    value, size = 0.0, 0.0
-    for k in range(system.inertias, 2 * system.inertias):
-        weight = system.frictions[friction, k]
-        if weight != 0.0:
-            change, terms = _change(system, regime, k, x, inputs)
-            value, size = value + weight * change, size + abs(weight) * terms
     return value, size
 
 
@@ -326,12 +323,13 @@ def _rate(system: System, friction: int, fastest: float, x: FloatArray) -> tuple
 
 
 @part
-def _twist(system: System, friction: int, x: FloatArray) -> float:
-    """The twist of a friction's shaft  [rad]."""
-    value = 0.0
+def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float, float]:
+    """The twist whose rate is weights (N,) times the state, and the sum of its terms' magnitudes  [rad]."""
+    twist, size = 0.0, 0.0
     for k in range(system.inertias):
-        value += system.frictions[friction, system.inertias + k] * x[k]
-    return value
+        term = weights[system.inertias + k] * x[k]
+        twist, size = twist + term, size + abs(term)
+    return twist, size
 
 
 @part
@@ -351,12 +349,11 @@ def is_carried(system: System, regime: int, lash: int, x: FloatArray, inputs: Fl
     for weights in (system.functionals, system.feedthrough):
         for k in range(weights.shape[2]):
             held += abs(weights[system.regimes[regime].flow, functional, k])
-    twist, size, rate, fastest, n = 0.0, inputs[gap_input(lash)], 0.0, 0.0, system.inertias
-    for k in range(n):
-        weight = system.lashes[lash, n + k]
-        twist, size = twist + weight * x[k], size + abs(weight * x[k])
-        rate, fastest = rate + weight * x[n + k], max(fastest, abs(x[n + k]))
-    touches = inputs[gap_input(lash)] - abs(twist) <= _WITHIN * size
+    half_gap, (twist, size) = inputs[gap_input(lash)], twist_of(system, system.lashes[lash], x)
+    rate, fastest = 0.0, 0.0
+    for k in range(system.inertias, 2 * system.inertias):
+        rate, fastest = rate + system.lashes[lash, k] * x[k], max(fastest, abs(x[k]))
+    touches = half_gap - abs(twist) <= _WITHIN * (half_gap + size)
     return bool(frictions_of(system) > 0 and held == 0.0 and touches and abs(rate) <= _WITHIN * fastest)
 
 
