@@ -13,12 +13,12 @@ presses on one flank only, and
                  flanks rejoin; of rigid flanks the kinetic energy that is lost at touches
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
+from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.extremes import NODES, integral, integral_of_square, widened
 from clunk.core.jit import compiled, part
@@ -26,31 +26,20 @@ from clunk.core.references import put, refer, reference_at, words_of
 from clunk.core.regimes import Each, System, gap_input
 from clunk.core.rigid import held_with
 from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
-from clunk.core.sequence import find_primaries
 from clunk.core.severity import root_of_squares
 from clunk.core.status import Status
 from clunk.core.switching import set_weighed
-from clunk.core.tile import Cases
+from clunk.core.tile import Cases, Output
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 _OK = int(Status.OK)
+_SMOOTH = 1e-10  # of the terms of a series: the last one over a step of which the series tells all
+_BETWEEN_TRIES = 8  # steps, at longer ones
 
 IMPULSE, PEAK_TORQUE, ENERGY = range(3)  # of an impact, and the roots of their summed squares of a run
 OF_IMPACTS = 3
-
-
-class Run(NamedTuple):
-    """A finished run; P pieces, E events and changes of stage, n inertias, L lashes."""
-
-    load: FloatArray  # (P, PIECE)
-    before: FloatArray  # (INPUTS + L - 1 or more,)  d before the load step  [N m, rad, N m/s, rad]
-    events: npt.NDArray[np.void]  # (capacity,) EVENT, E of them
-    states: FloatArray  # (capacity, N)  [rad, rad/s]
-    written: int  # E
-    primaries: IntArray  # (L, capacity) indices of each lash's primary impacts in `events`
-    impacts: IntArray  # (L,) and how many there are
 
 
 class Room(NamedTuple):
@@ -58,34 +47,14 @@ class Room(NamedTuple):
 
     z: FloatArray  # (Z,)  state and inputs
     moved: FloatArray  # (2, Z)
-    series: FloatArray  # (TERMS,)  of a channel
-    nodes: FloatArray  # (NODES,)  its values there
+    series: FloatArray  # (C, TERMS)  of each channel
+    nodes: FloatArray  # (NODES,)  values of one there
     inputs: FloatArray  # (I,)  d
     low: FloatArray  # (C,)  range of each channel so far
     high: FloatArray  # (C,)
-    impact: IntArray  # (L,)  the last primary impact of each lash, or -1
-    row: IntArray  # (L,)  and the row of its values, or -1 where they are not wanted
-    primaries: IntArray  # (L, capacity)  as of `Run`
-    impacts: IntArray  # (L,)
+    first: IntArray  # (L + 1,)  the row of each lash's first primary impact
+    row: IntArray  # (L,)  and of its last one so far, the row before that where there is none
     systems: IntArray  # (D, …)  of each driveline, see `references.put`
-
-
-def _make_room(system: System, channels: Channels, capacity: int) -> Room:
-    size, count, lashes = channels.rates.shape[3], channels.series.shape[3], system.lashes.shape[0]
-    return Room(
-        z=np.zeros(size),
-        moved=np.zeros((2, size)),
-        series=np.zeros(TERMS),
-        nodes=np.zeros(NODES),
-        inputs=np.ones(system.weights.shape[1]),
-        low=np.zeros(count),
-        high=np.zeros(count),
-        impact=np.zeros(lashes, np.int64),
-        row=np.zeros(lashes, np.int64),
-        primaries=np.empty((lashes, capacity), np.int64),
-        impacts=np.zeros(lashes, np.int64),
-        systems=np.empty((channels.rates.shape[0], words_of(system)), np.int64),
-    )
 
 
 def measure_runs(
@@ -93,9 +62,7 @@ def measure_runs(
     each: Each,
     channels: Channels,
     cases: Cases,
-    cells: npt.NDArray[np.void],
-    logs: npt.NDArray[np.void],
-    states: FloatArray,
+    output: Output,
     totals: FloatArray,
     of_impacts: FloatArray,
 ) -> None:
@@ -105,15 +72,27 @@ def measure_runs(
     ----------
     system, each, channels
         Of the drivelines of a batch, as `tile.Batch`.
-    cases, cells, logs, states
-        Of a tile, as `tile.Output`; in `logs` the times behind a run's events are NaN.
+    cases, output
+        As of `tile.run_tile`, with states; in the logs the times behind a run's events are NaN.
     totals : (cells, L, OF_IMPACTS + measures) float64
-        Output, see `_measure`.
+        Output, for each lash: roots of the summed squares of its impacts' values, then the measures.
     of_impacts : (impacts, OF_IMPACTS) float64
-        Output, each cell's behind those of the cell before.
+        Output, if `channels.of_impacts`: impulse [N m s], peak torque [N m] and energy [J] of each of the impacts.
     """
-    room = _make_room(system, channels, logs.shape[1])
-    _measure_runs(system, each, channels, cases, cells, logs, states, room, totals, of_impacts)
+    size, count, lashes = channels.rates.shape[-1], channels.series.shape[2], system.lashes.shape[0]
+    room = Room(
+        z=np.zeros(size),
+        moved=np.zeros((2, size)),
+        series=np.zeros((count, TERMS)),
+        nodes=np.zeros(NODES),
+        inputs=np.ones(system.weights.shape[1]),
+        low=np.zeros(count),
+        high=np.zeros(count),
+        first=np.zeros(lashes + 1, np.int64),
+        row=np.zeros(lashes, np.int64),
+        systems=np.empty((len(channels.rates), words_of(system)), np.int64),
+    )
+    _measure_runs(system, each, channels, cases, output, room, totals, of_impacts)
 
 
 @compiled
@@ -122,34 +101,23 @@ def _measure_runs(
     each: Each,
     channels: Channels,
     cases: Cases,
-    cells: npt.NDArray[np.void],
-    logs: npt.NDArray[np.void],
-    states: FloatArray,
+    output: Output,
     room: Room,
     totals: FloatArray,
     of_impacts: FloatArray,
 ) -> None:
     system, each, channels, room = refer(system), refer(each), refer(channels), refer(room)
-    first, primaries, impacts = 0, room.primaries, room.impacts
+    cases, output, first = refer(cases), refer(output), room.first
     for k in range(room.systems.shape[0]):
         put(system, each, k, room.systems)
-    for k in range(cells.shape[0]):
-        count = 0
-        for lash in range(impacts.size):
-            impacts[lash] = cells[k, lash].primary_impacts
-            count += impacts[lash]
-        if cells[k, 0].status == _OK:
-            driveline, written = cases.drivelines[k % cases.drivelines.size], 0
-            while written < logs.shape[1] and not np.isnan(logs[k, written].time):
-                written += 1
+    for k in range(output.cells.shape[0]):
+        first[0] = first[room.row.size]
+        for lash in range(room.row.size):
+            first[lash + 1] = first[lash] + output.cells[k, lash].primary_impacts
+        if output.cells[k, 0].status == _OK:
+            driveline = cases.drivelines[k % cases.drivelines.size]
             of_run = reference_at(room.systems, driveline, system)
-            for lash in range(impacts.size):
-                side, sticking_time = int(cells[k, lash].initial_side), of_run.sticking_time[lash]
-                find_primaries(logs[k], written, lash, side, sticking_time, primaries[lash])
-            load = cases.loads[k % cases.loads.shape[0]]
-            run = Run(load, cases.before[k], logs[k], states[k], written, primaries, impacts)
-            _measure(of_run, channels, driveline, run, room, totals[k], of_impacts[first : first + count])
-        first += count
+            _measure(of_run, channels, driveline, cases, output, k, room, totals[k], of_impacts)
 
 
 @part
@@ -157,65 +125,58 @@ def _measure(
     system: System,
     channels: Channels,
     driveline: int,
-    run: Run,
+    cases: Cases,
+    output: Output,
+    k: int,
     room: Room,
     totals: FloatArray,
     of_impacts: FloatArray,
 ) -> None:
-    """Measure a run of one of the drivelines.
-
-    Parameters
-    ----------
-    totals : (L, OF_IMPACTS + measures) float64
-        Output, for each lash: roots of the summed squares of its impacts' values, then the measures.
-    of_impacts : (impacts, OF_IMPACTS) float64
-        Output, if `channels.of_impacts`: impulse [N m s], peak torque [N m] and energy [J] of each, lash by lash.
-    """
+    """Measure the run of cell k, of one of the drivelines."""
     size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, 0, system.lashes.shape[0]
-    x, shortest = room.z[:size], INSTANT if lashes > 1 else 0.0
-    set_gaps(system, run.before, room.inputs)
-    begin_wave(system, run.load, 0, x)
+    x, shortest, load = room.z[:size], INSTANT if lashes > 1 else 0.0, cases.loads[k % cases.loads.shape[0]]
+    events, written = output.logs[k], 0
+    while written < events.size and not np.isnan(events[written].time):
+        written += 1
+    set_gaps(system, cases.before[k], room.inputs)
+    begin_wave(system, load, 0, x)
     for c in range(room.low.size):
         room.low[c], room.high[c] = np.inf, -np.inf
     for lash in range(lashes):
-        room.impact[lash], room.row[lash] = -1, -1
-    for i in range(of_impacts.shape[0]):
+        room.row[lash] = room.first[lash] - 1
+    for i in range(room.first[0], room.first[lashes] if channels.of_impacts != 0 else 0):
         for j in range(OF_IMPACTS):
             of_impacts[i, j] = 0.0
-    for k in range(run.written):
-        event = run.events[k]
+    for e in range(written):
+        event = events[e]
         for j in range(n):
-            x[j] = run.states[k, j]
-        if channels.of_impacts != 0:
-            _begin_impacts(run, room, k)
-            if event.lash >= 0:
-                _add_event(system, channels, driveline, run, k, x, room.row, of_impacts)
+            x[j] = output.states[k, e, j]
+        if channels.of_impacts != 0 and event.lash >= 0:
+            _begin_impact(event, output.impacts, room)
+            _add_event(system, channels, driveline, event, room, of_impacts)
         time, end = event.time, system.end_time[0]
-        if k + 1 < run.written:
-            end = run.events[k + 1].time
+        if e + 1 < written:
+            end = events[e + 1].time
         while end - time > shortest:
-            now = piece_at(run.load, piece, time)
+            now = piece_at(load, piece, time)
             if now != piece:
                 piece = now
-                begin_wave(system, run.load, piece, x)
+                begin_wave(system, load, piece, x)
             until = end
-            if piece + 1 < run.load.shape[0]:
-                until = min(end, run.load[piece + 1, BEGIN])
-            set_torque(system, run.load, piece, time, room.inputs)
+            if piece + 1 < load.shape[0]:
+                until = min(end, load[piece + 1, BEGIN])
+            set_torque(system, load, piece, time, room.inputs)
             set_weighed(system, event.regime, room.inputs, room.z[size:])
             _follow(system, channels, driveline, event.regime, until - time, room, of_impacts)
             time = until
-    first = 0
     for lash in range(lashes):
-        last = first + run.impacts[lash]
+        first, last = room.first[lash], room.first[lash + 1]
         for j in range(OF_IMPACTS):
             totals[lash, j] = np.nan
             if channels.of_impacts != 0:
-                if system.impulsive != 0 and j == PEAK_TORQUE:
-                    for i in range(first, last):
-                        of_impacts[i, j] = np.nan
-                totals[lash, j] = root_of_squares(of_impacts[first:last, j], run.impacts[lash])
-        first = last
+                for i in range(first, last if system.impulsive != 0 and j == PEAK_TORQUE else first):
+                    of_impacts[i, j] = np.nan
+                totals[lash, j] = root_of_squares(of_impacts[first:last, j], last - first)
         if system.impulsive != 0:
             totals[lash, PEAK_TORQUE] = np.nan
         for m in range(channels.reductions.size):
@@ -225,48 +186,34 @@ def _measure(
 
 
 @part
-def _begin_impacts(run: Run, room: Room, k: int) -> None:
-    """Begin the values of a lash whose primary impact event `k` is."""
-    first = 0
-    for lash in range(run.impacts.size):
-        following = room.impact[lash] + 1
-        if following < run.impacts[lash] and run.primaries[lash, following] == k:
-            room.impact[lash], room.row[lash] = following, first + following
-            torque = OF_LASH * lash + CONTACT_TORQUE
-            room.low[torque], room.high[torque] = 0.0, 0.0
-        first += run.impacts[lash]
+def _begin_impact(event: Any, impacts: npt.NDArray[np.void], room: Room) -> None:
+    """Begin the values of a lash's next primary impact where an event of the lash is that."""
+    following = room.row[event.lash] + 1
+    is_next = event.kind == TOUCH and following < room.first[event.lash + 1]
+    if is_next and impacts[following].time == event.time:
+        torque = OF_LASH * event.lash + CONTACT_TORQUE
+        room.row[event.lash], room.low[torque], room.high[torque] = following, 0.0, 0.0
 
 
 @part
 def _add_event(
-    system: System,
-    channels: Channels,
-    driveline: int,
-    run: Run,
-    k: int,
-    x: FloatArray,
-    row: IntArray,
-    of_impacts: FloatArray,
+    system: System, channels: Channels, driveline: int, event: Any, room: Room, of_impacts: FloatArray
 ) -> None:
-    """Add to the lashes' impacts what event `k` passes on or takes at once; an impact's impulse passes through others.
-
-    row : (L,) of each lash's impact in `of_impacts`, or -1
-    """
-    event = run.events[k]
-    lash = event.lash
+    """Add to the lashes' impacts what an event passes on or takes at once; an impulse passes through others."""
+    lash, row, first, x = event.lash, room.row, room.first, room.z
     if system.impulsive != 0:
         if event.kind == TOUCH:
             after, passed = 0.0, channels.passed[driveline, held_with(system, event.regime, lash), lash]
-            for j in range(x.size):
+            for j in range(system.lashes.shape[1]):
                 after += system.lashes[lash, j] * x[j]
             for other in range(row.size):
-                if row[other] >= 0:
+                if row[other] >= first[other]:
                     of_impacts[row[other], IMPULSE] += abs(passed[other]) * abs(event.speed - after)
-            if row[lash] >= 0:
+            if row[lash] >= first[lash]:
                 of_impacts[row[lash], ENERGY] += 0.5 * passed[lash] * (event.speed**2 - after**2)
         return
-    if event.kind in (SEPARATION, REJOIN) and row[lash] >= 0:
-        overlap = -run.before[gap_input(lash)]
+    if event.kind in (SEPARATION, REJOIN) and row[lash] >= first[lash]:
+        overlap = -room.inputs[gap_input(lash)]
         for j in range(system.inertias):
             overlap += event.side * system.lashes[lash, system.inertias + j] * x[j]
         stored = 0.5 * channels.contact_stiffness[driveline, lash] * overlap**2
@@ -278,41 +225,58 @@ def _follow(
     system: System, channels: Channels, driveline: int, regime: int, span: float, room: Room, of_impacts: FloatArray
 ) -> None:
     """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
-    z, series, lashes = room.z, room.series, system.lashes.shape[0]
-    flow, level, elapsed = system.regimes[regime].flow, 0, 0.0
-    begins, lengths = channels.begins[driveline, flow], channels.lengths[driveline, flow]
+    z, lashes = room.z, system.lashes.shape[0]
+    flow, level, taken, elapsed = system.regimes[regime].flow, 0, 0, 0.0
+    length, rows = channels.lengths[driveline, flow], channels.series[driveline, flow]
     while elapsed < span:
-        while level + 1 < begins.size and begins[level + 1] <= elapsed:
-            level += 1
-        length = lengths[level]
-        rows, share = channels.series[driveline, flow, level], min((span - elapsed) / length, 1.0)
+        if taken == _BETWEEN_TRIES and level + 1 < LEVELS:
+            level, taken = level + 1, 0
+        while level > 0 and length * 2.0**level > span - elapsed:
+            level -= 1
+        share, is_smooth = min((span - elapsed) / length, 2.0**level), True
+        for c in range(room.low.size):
+            lash = c // OF_LASH
+            if lash < lashes and not _bears(system, regime, lash, room):
+                continue
+            is_smooth = _expand(rows[c], z, share, room.series[c]) and is_smooth
+        if level > 0 and not is_smooth:
+            level, taken = level - 1, 0
+            continue
         for lash in range(lashes):
             contact, torque = system.contacts[regime, lash], OF_LASH * lash + CONTACT_TORQUE
-            if contact.closed == 0 or room.row[lash] < 0:
+            if not _bears(system, regime, lash, room):
                 continue
             values = of_impacts[room.row[lash]]
-            _expand(rows[OF_LASH * lash + CLOSING], z, series)
-            damped = length * integral_of_square(series, share, room.nodes)
+            damped = length * integral_of_square(room.series[OF_LASH * lash + CLOSING], share, room.nodes)
             values[ENERGY] += channels.contact_damping[driveline, lash] * damped
-            _expand(rows[torque], z, series)
-            values[IMPULSE] += contact.side * length * integral(series, share)
-            room.low[torque], room.high[torque] = widened(series, share, room.low[torque], room.high[torque])
+            values[IMPULSE] += contact.side * length * integral(room.series[torque], share)
+            room.low[torque], room.high[torque] = widened(
+                room.series[torque], share, room.low[torque], room.high[torque]
+            )
             values[PEAK_TORQUE] = room.high[torque] if contact.side > 0 else -room.low[torque]
         for c in range(OF_LASH * lashes, room.low.size):
-            _expand(rows[c], z, series)
-            room.low[c], room.high[c] = widened(series, share, room.low[c], room.high[c])
+            room.low[c], room.high[c] = widened(room.series[c], share, room.low[c], room.high[c])
         if share < 1.0:
-            _move_within(channels.rates[driveline, flow, level], share, room)
+            _move_within(channels.rates[driveline, flow], share, room)
             break
         _multiply(channels.steps[driveline, flow, level], z, room.moved[0])
         for j in range(z.size):
             z[j] = room.moved[0, j]
-        elapsed += length
+        elapsed, taken = elapsed + share * length, taken + 1
 
 
 @part
-def _expand(columns: FloatArray, z: FloatArray, series: FloatArray) -> None:
-    """Set `series` to z · columns; four sums at a time take 111 ns, one 187 ns."""
+def _bears(system: System, regime: int, lash: int, room: Room) -> bool:
+    """Whether a lash is closed and has had a primary impact, so that its contact adds to the values of that."""
+    return bool(system.contacts[regime, lash].closed != 0 and room.row[lash] >= room.first[lash])
+
+
+@part
+def _expand(columns: FloatArray, z: FloatArray, share: float, series: FloatArray) -> bool:
+    """Set `series` to z · columns, and tell whether it is smooth over a share of the shortest step.
+
+    Four sums at a time take 111 ns, one 187 ns.
+    """
     for k in range(0, TERMS, 4):
         first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
         for j in range(z.size):
@@ -321,6 +285,11 @@ def _expand(columns: FloatArray, z: FloatArray, series: FloatArray) -> None:
             third += z[j] * columns[j, k + 2]
             fourth += z[j] * columns[j, k + 3]
         series[k], series[k + 1], series[k + 2], series[k + 3] = first, second, third, fourth
+    reach, term, power = 0.0, 0.0, 1.0
+    for k in range(TERMS):
+        term = abs(series[k]) * power
+        reach, power = reach + term, power * share
+    return term <= _SMOOTH * reach
 
 
 @part

@@ -8,7 +8,7 @@ from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_
 from clunk.core.measures import measure_runs
 from clunk.core.regimes import Each, System, alone
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
-from clunk.core.tile import CELL, Cases
+from clunk.core.tile import CELL, IMPACT, Cases, Output
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import Trajectory
@@ -57,10 +57,9 @@ def channels_of(
         for m, (quantity, part) in enumerate(zip(measures, parts, strict=True)):
             row = _row(quantity, part, active, line, system, each, flow, rows[:, flow])
             rows[:, flow, OF_LASH * lashes + m] = row
-    levels = tabulate(each, rows, system)
     pressed = 0.0 if system.impulsive else 1.0
     return Channels(
-        *levels,
+        *tabulate(each, rows, system),
         of_impacts=int(bool(study.impacts.quantities) if of_impacts is None else of_impacts),
         reductions=np.array([{"peak-to-peak": PEAK_TO_PEAK}.get(each.reduce, LARGEST) for each in measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
@@ -133,15 +132,16 @@ def measured(trajectory: Trajectory) -> Measures:
     channels = channels_of(study, Driveline.from_study(study), system, alone(system), of_impacts=True)
     before, load = run_load(study)
     cells = np.zeros((1, len(study.lashes)), CELL)
-    cells["initial_side"] = trajectory.initial_sides
-    cells["primary_impacts"] = impacts = [primaries.size for primaries in trajectory.primaries_of]
-    totals, of_impacts = (
-        np.zeros((*cells.shape, len(NAMES) + len(study.measures))),
-        np.zeros((sum(impacts), len(NAMES))),
-    )
-    cases, states = Cases(before[None], load[None], np.zeros(1, np.int64)), trajectory.phase_states[None]
-    measure_runs(system, alone(system), channels, cases, cells, phases[None], states, totals, of_impacts)
-    names, part = (*NAMES, *(each.name for each in study.measures)), np.cumsum(impacts)[:-1]
+    cells["primary_impacts"] = [primaries.size for primaries in trajectory.primaries_of]
+    primaries = np.concatenate(trajectory.primaries_of)
+    impacts = np.zeros(primaries.size, IMPACT)
+    impacts["time"] = trajectory.events["time"][primaries]
+    totals = np.zeros((*cells.shape, len(NAMES) + len(study.measures)))
+    of_impacts = np.zeros((impacts.size, len(NAMES)))
+    cases = Cases(before[None], load[None], np.zeros(1, np.int64))
+    output = Output(cells, impacts, phases[None], trajectory.phase_states[None])
+    measure_runs(system, alone(system), channels, cases, output, totals, of_impacts)
+    names, part = (*NAMES, *(each.name for each in study.measures)), np.cumsum(cells["primary_impacts"])[:-1]
     of_lash = np.split(of_impacts, part)[trajectory.lash]
     return Measures(
         dict(zip(names, totals[0, trajectory.lash].tolist(), strict=True)), dict(zip(NAMES, of_lash.T, strict=True))

@@ -233,9 +233,9 @@ class Grid:
         self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int
     ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs with measures, as the grid's layout has them."""
-        system, channels = batch.system, batch.channels
+        channels = batch.channels
         assert channels is not None
-        runs, size, capacity = len(cases.before), system.rates.shape[1], room + 1
+        runs, size, capacity = len(cases.before), batch.system.rates.shape[1], room + 1
         each = min(max(_STATES // capacity, 1), runs)
         logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
         records, impacts = [np.zeros(0, self.layout.record)], [np.zeros(0, self.layout.detail)]
@@ -246,7 +246,8 @@ class Grid:
             cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([np.zeros(0, IMPACT), *pieces])
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
-            measure_runs(system, batch.each, channels, part, cells, logs, states, totals, of_impacts)
+            output = kernel.Output(cells, details, logs, states)
+            measure_runs(batch.system, batch.each, channels, part, output, totals, of_impacts)
             names = self.study.impacts.quantities
             columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
             records.append(_joined(rows, self.layout.record, totals[..., columns].reshape(rows.size, -1)))
