@@ -71,16 +71,18 @@ class EnergyBalance:
     @property
     def residual(self) -> float:
         """Sources less sinks: zero for an exact run  [J]."""
-        sources = self.stored_before, self.work, self.regained
-        sinks = self.stored_after, self.damped, self.rubbed, self.lost_at_impacts, self.dropped
-        return math.fsum((*sources, *(-sink for sink in sinks)))
+        return math.fsum(self._terms)
 
     @property
     def largest(self) -> float:
         """The largest term of the balance  [J]."""
+        return max(map(abs, self._terms))
+
+    @property
+    def _terms(self) -> tuple[float, ...]:
+        """Sources, and sinks with the other sign  [J]."""
         sinks = self.stored_after, self.damped, self.rubbed, self.lost_at_impacts, self.dropped
-        terms = self.stored_before, self.work, *sinks
-        return max(abs(term) for term in terms)
+        return (self.stored_before, self.work, self.regained, *(-sink for sink in sinks))
 
     @property
     def relative_residual(self) -> float:

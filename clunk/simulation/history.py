@@ -21,7 +21,7 @@ from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import Flow, apply, inputs_of, preload, regimes_of, stretches, with_wave
+from clunk.simulation.phases import apply, inputs_of, preload, regimes_of, states, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Bools, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
@@ -209,40 +209,20 @@ def sample(
         before = study.load.step_time if steady else 0.0
     begin, end = _span(trajectory, step, until, before, steady)
 
-    motion = _Motion(trajectory, system, load, inputs_before, step)
-    gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
+    line, motion = Driveline.from_study(study), _Motion(trajectory, system, load, inputs_before, step)
+    gains = line.rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
     phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)] if steady else []
     started = int(np.searchsorted(trajectory.phases["time"], end, side="right"))
     phases += [phase for k in range(started) for phase in motion.after_event(k, end)]
-
-    lengths = [phase.time.size for phase in phases]
-    after_step, state = (np.concatenate(parts) for parts in ([p.time for p in phases], [p.state for p in phases]))
-    regime_of, piece_of = (np.repeat([key[k] for key in phases], lengths) for k in (2, 3))
-    event = np.full(after_step.size, -1)
-    event[np.cumsum([0, *lengths[:-1]])] = [phase.event for phase in phases]
-    n = system.inertias
-    angle, velocity = state[:, :n], state[:, n : 2 * n]
-    acceleration, torque = np.empty_like(angle), state[:, 2 * n :][:, :1].sum(axis=1)
-    contact_torques, line = np.zeros((len(after_step), len(study.lashes))), Driveline.from_study(study)
-    if steady:
-        piece_of[: lengths[0]] = -1
-    for piece in range(-1, len(load)):
-        under = piece_of == piece
-        inputs = motion.inputs(piece) if piece >= 0 else inputs_before
-        torque[under] += inputs[TORQUE]
-        for number in np.unique(regime_of[under]):
-            rows, regime = under & (regime_of == number), motion.regimes(0)[number]
-            driven = system.weights[number] * np.concatenate([inputs, np.ones(system.weights.shape[1] - inputs.size)])
-            for lash in np.flatnonzero(regime.closed).tolist():
-                across = torque_across(line, system, alone(system), system.regimes[number]["flow"], lash)[0]
-                by_state, by_inputs = np.split(across, [state.shape[1]])
-                contact_torques[rows, lash] = apply(by_state[None], state[rows])[:, 0] + by_inputs @ driven
-            if piece >= 0:
-                regime = motion.regimes(piece)[number]
-                acceleration[rows] = apply(regime.rates[n : 2 * n], state[rows]) + regime.forcing[n : 2 * n]
+    columns = zip(*(motion.observed(phase, line) for phase in phases), strict=True)
+    acceleration, torque, contacts, contact_torques = (np.concatenate(column) for column in columns)
+    lengths, n = [phase.time.size for phase in phases], system.inertias
     if steady:
         acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
-    pressing = np.array([regime.sides * regime.closed for regime in motion.regimes(0)])  # the side of each lash's flank
+    after_step, state = (np.concatenate(parts) for parts in ([p.time for p in phases], [p.state for p in phases]))
+    event = np.full(after_step.size, -1)
+    event[np.cumsum([0, *lengths[:-1]])] = [phase.event for phase in phases]
+    angle, velocity = state[:, :n], state[:, n : 2 * n]
     radii = np.array([lash.radius for lash in study.lashes])
     return History(
         name=study.title if name is None else name,
@@ -254,7 +234,7 @@ def sample(
         acceleration=acceleration,
         torque=torque,
         backlash_coordinates=radii * apply(system.lashes[:, n : 2 * n], angle),
-        contacts=(-trajectory.initial_sides * pressing[regime_of]).astype(np.int8),
+        contacts=contacts.astype(np.int8),
         contact_torques=contact_torques,
         event=event,
     )
@@ -284,7 +264,7 @@ class _Phase(NamedTuple):
     time: Floats  # (m,)  s after the load step
     state: Floats  # (m, N)  rad, rad/s, and the load's wave
     regime: int
-    piece: int  # of the load
+    piece: int  # of the load, -1 before the load step
     event: int  # that the phase begins with, or -1
 
 
@@ -296,7 +276,7 @@ def _before_load_step(
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
-    return _Phase(time, state + 0.0, int(trajectory.events["regime"][0]), 0, -1)  # no -0.0
+    return _Phase(time, state + 0.0, int(trajectory.events["regime"][0]), -1, -1)  # no -0.0
 
 
 class _Motion:
@@ -304,9 +284,26 @@ class _Motion:
 
     def __init__(self, trajectory: Trajectory, system: System, load: Floats, before: Floats, step: float) -> None:
         self._trajectory, self._system, self._load, self._step = trajectory, system, load, step
-        self.inputs = functools.partial(inputs_of, before, load)
-        self.regimes = functools.cache(lambda piece: regimes_of(system, self.inputs(piece)))
-        self._flow = functools.lru_cache(2)(lambda piece: Flow(self.regimes(piece), step))
+        self._before = before
+        self._regimes = functools.cache(lambda piece: regimes_of(system, self._inputs(piece)))
+
+    def _inputs(self, piece: int) -> Floats:
+        return self._before if piece < 0 else inputs_of(self._before, self._load, piece)
+
+    def observed(self, phase: _Phase, line: Driveline) -> tuple[Floats, Floats, Integers, Floats]:
+        """Accelerations, load, contacts and contact torques of the samples of a phase, as of `History`."""
+        system, state, inputs = self._system, phase.state, self._inputs(phase.piece)
+        n, regime = system.inertias, self._regimes(phase.piece)[phase.regime]
+        driven = system.weights[phase.regime] * np.concatenate([inputs, np.ones(len(system.weights.T) - inputs.size)])
+        contact_torques = np.zeros((len(state), regime.closed.size))
+        for lash in np.flatnonzero(regime.closed).tolist():
+            across = torque_across(line, system, alone(system), system.regimes[phase.regime]["flow"], lash)[0]
+            by_state, by_inputs = np.split(across, [state.shape[1]])
+            contact_torques[:, lash] = apply(by_state[None], state)[:, 0] + by_inputs @ driven
+        acceleration = apply(regime.rates[n : 2 * n], state) + regime.forcing[n : 2 * n]
+        torque = inputs[TORQUE] + state[:, 2 * n :][:, :1].sum(axis=1)
+        contacts = -self._trajectory.initial_sides * regime.sides * regime.closed
+        return acceleration, torque, np.tile(contacts, (len(state), 1)), contact_torques
 
     def after_event(self, k: int, end: float) -> Iterator[_Phase]:
         """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches."""
@@ -317,19 +314,19 @@ class _Motion:
         event = int(np.count_nonzero(is_event[:k])) if is_event[k] else -1
         for stretch in stretches(self._load, start, min(stop, end)):
             piece, begin, until = stretch
-            flow, x = self._flow(piece), with_wave(self._system, x, self._load, stretch)
+            flow, x = self._regimes(piece)[regime], with_wave(self._system, x, self._load, stretch)
             within = _grid(begin, until, step)
-            times, states = [np.array([begin]), within * step], [x[None]]
+            times, parts = [np.array([begin]), within * step], [x[None]]
             if within.size:
-                states.append(flow.states(regime, x, within[0] * step - begin, within.size))
+                parts.append(states(flow, x, within[0] * step - begin, step, within.size))
             if begin < until:
                 times.append(np.array([until]))
                 before_event = _state_before(self._trajectory, self._system, k + 1) if until == stop else x[:0]
                 if before_event.size < x.size:
-                    x = flow.states(regime, x, until - begin, 1)[0]
+                    x = states(flow, x, until - begin, step, 1)[0]
                 x = np.concatenate([before_event, x[before_event.size :]])
-                states.append(x[None])
-            yield _Phase(np.concatenate(times), np.concatenate(states), regime, piece, event)
+                parts.append(x[None])
+            yield _Phase(np.concatenate(times), np.concatenate(parts), regime, piece, event)
             event = -1
 
 

@@ -6,7 +6,7 @@ With z = (x, 1), z(t) = exp(M t) z(0), M = [[A, B u], [0, 0]]. Every phase start
 searched for.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -92,35 +92,24 @@ def with_wave(system: System, x: Floats, load: Floats, stretch: Stretch) -> Floa
     return np.concatenate([x[:size], _exponential((stretch.begin - row[BEGIN]) * system.rates[0, size:, size:]) @ wave])
 
 
-class Flow:
-    """The motion of each regime at evenly spaced times, by powers of one step's matrix exponential."""
+def generator(regime: Regime) -> Floats:
+    """(N + 1, N + 1) M of a regime."""
+    size = regime.forcing.size
+    matrix = np.zeros((size + 1, size + 1))
+    matrix[:size, :size], matrix[:size, size] = regime.rates, regime.forcing
+    return matrix
 
-    def __init__(self, regimes: Sequence[Regime], step: float) -> None:
-        self._step = step
-        self._matrices = [np.zeros((regime.forcing.size + 1,) * 2) for regime in regimes]
-        for matrix, regime in zip(self._matrices, regimes, strict=True):
-            matrix[:-1, :-1], matrix[:-1, -1] = regime.rates, regime.forcing
-        self._powers: dict[int, list[Floats]] = {}
 
-    def states(self, regime: int, x: Floats, offset: float, count: int) -> Floats:
-        """(count, N) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
-        z = np.empty((count, x.size + 1))
-        z[0] = _exponential(offset * self._matrices[regime]) @ np.append(x, 1.0)
-        filled, doubling = 1, 0
-        while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
-            more = min(filled, count - filled)
-            z[filled : filled + more] = apply(self._power(regime, doubling), z[:more])
-            filled, doubling = filled + more, doubling + 1
-        return z[:, :-1]
-
-    def _power(self, regime: int, doubling: int) -> Floats:
-        """exp(2^doubling · step · M)."""
-        powers = self._powers.setdefault(regime, [])
-        if not powers:
-            powers.append(_exponential(self._step * self._matrices[regime]))
-        while len(powers) <= doubling:
-            powers.append(powers[-1] @ powers[-1])
-        return powers[doubling]
+def states(regime: Regime, x: Floats, offset: float, step: float, count: int) -> Floats:
+    """(count, N) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
+    matrix, z = generator(regime), np.empty((count, x.size + 1))
+    z[0], filled = _exponential(offset * matrix) @ np.append(x, 1.0), 1
+    power = _exponential(step * matrix) if count > 1 else matrix
+    while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
+        more = min(filled, count - filled)
+        z[filled : filled + more] = apply(power, z[:more])
+        filled, power = filled + more, power @ power
+    return z[:, :-1]
 
 
 def _exponential(matrix: Floats) -> Floats:

@@ -10,7 +10,7 @@ from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, explained
 from clunk.simulation.load import run_inputs
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import Flow, preload, regimes_of
+from clunk.simulation.phases import preload, regimes_of, states
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
@@ -69,7 +69,7 @@ class SmallGap(NamedTuple):
         step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
-        state = Flow(regimes_of(system, after), step).states(rest.regime, rest.x, 0.0, time.size)
+        state = states(regimes_of(system, after)[rest.regime], rest.x, 0.0, step, time.size)
         across = torque_across(driveline, system, alone(system), system.regimes[rest.regime]["flow"], 0)[0]
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time
