@@ -21,15 +21,15 @@ def test_the_matrices_are_those_of_equation_2_6(nominal):
     assert np.array_equal(driveline.inertia, [0.024, 0.002, 0.002, 0.002])
     assert driveline.damping == pytest.approx(np.array(damping), abs=1e-17)
     assert driveline.stiffness == pytest.approx(np.array(stiffness), abs=1e-14)
-    assert np.array_equal(driveline.lash, [0, 0, 1, -1])
+    assert np.array_equal(driveline.lashes[0], [0, 0, 1, -1])
     assert np.array_equal(driveline.load, [1, 0, 0, 0])
     assert driveline.rigid_motion.shape.size == 0
 
 
 def test_the_contact_is_converted_from_its_radius(nominal):
     driveline = Driveline.from_study(nominal)
-    assert driveline.contact_stiffness == pytest.approx(2618.88, rel=1e-12)
-    assert driveline.contact_damping == pytest.approx(0.6016, rel=1e-12)
+    assert driveline.contact_stiffnesses[0] == pytest.approx(2618.88, rel=1e-12)
+    assert driveline.contact_dampings[0] == pytest.approx(0.6016, rel=1e-12)
 
 
 def test_the_natural_frequencies_are_those_of_the_report(nominal):
@@ -61,7 +61,7 @@ def test_modes_with_every_damper_taken_out_have_no_damping(nominal):
     driveline = Driveline.from_study(replace_values(nominal, undamped))
     modes = driveline.modes(closed=True)
     assert modes.damping_ratio == pytest.approx(np.zeros(4), abs=1e-12)
-    closed = driveline.stiffness + driveline.contact_stiffness * np.outer(driveline.lash, driveline.lash)
+    closed = driveline.stiffness + driveline.contact_stiffnesses[0] * np.outer(driveline.lashes[0], driveline.lashes[0])
     squares = np.sort(np.linalg.eigvals(closed / driveline.inertia[:, None]).real)
     assert modes.frequency == pytest.approx(np.sqrt(squares) / (2.0 * np.pi), rel=1e-9)
 
@@ -78,9 +78,9 @@ def test_the_thresholds_of_a_rigid_contact_are_the_exact_ones(nominal):
 def test_the_contact_period_is_that_of_the_two_inertias_at_the_lash(nominal):
     """3.88 ms, which is 1/f4 but for the shafts."""
     driveline = Driveline.from_study(nominal)
-    assert driveline.contact_period == pytest.approx(3.88e-3, abs=5e-6)
-    assert driveline.contact_period == pytest.approx(2 * np.pi * np.sqrt(0.001 / 2618.88), rel=1e-12)
-    assert driveline.contact_period == pytest.approx(1.0 / driveline.modes(closed=True).frequency[-1], rel=0.01)
+    assert driveline.contact_periods[0] == pytest.approx(3.88e-3, abs=5e-6)
+    assert driveline.contact_periods[0] == pytest.approx(2 * np.pi * np.sqrt(0.001 / 2618.88), rel=1e-12)
+    assert driveline.contact_periods[0] == pytest.approx(1.0 / driveline.modes(closed=True).frequency[-1], rel=0.01)
 
 
 def single(between=(1, "ground")):
@@ -91,7 +91,7 @@ def single(between=(1, "ground")):
 
 class TestLashToGround:
     def test_its_contact_period_is_that_of_the_one_inertia(self):
-        assert Driveline.from_study(single()).contact_period == pytest.approx(
+        assert Driveline.from_study(single()).contact_periods[0] == pytest.approx(
             2 * np.pi * np.sqrt(0.002 / 1e3), rel=1e-12
         )
 
@@ -99,7 +99,7 @@ class TestLashToGround:
     def test_the_order_of_its_ends_is_the_sign_of_q(self, between, sign):
         """The same motion; only which side of the gap is called positive differs."""
         driveline = Driveline.from_study(single(between))
-        assert np.array_equal(driveline.lash, [sign])
+        assert np.array_equal(driveline.lashes[0], [sign])
         trajectory = simulate(single(between))
         assert trajectory.initial_side == -sign
         assert trajectory.states[0, 0] == pytest.approx(-np.deg2rad(0.5) - 6.0 / 1e3, rel=1e-12)

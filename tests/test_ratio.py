@@ -94,7 +94,7 @@ def test_modes_thresholds_and_the_contact_period_are_those_of_the_reflected_driv
         assert ours.modes(closed=closed).damping_ratio == pytest.approx(
             theirs.modes(closed=closed).damping_ratio, rel=1e-9
         )
-    assert ours.contact_period == pytest.approx(theirs.contact_period, rel=1e-14)
+    assert ours.contact_periods[0] == pytest.approx(theirs.contact_periods[0], rel=1e-14)
     assert one_mode_thresholds(study) == pytest.approx(one_mode_thresholds(plain), rel=1e-9)
     assert rigid_contact_thresholds(study) == pytest.approx(rigid_contact_thresholds(plain), rel=1e-9)
     carried = build(study).contact_torque[0, 0, 0] * lever(plant, DECIMAL) / DECIMAL[0]
@@ -118,7 +118,9 @@ def test_the_torque_behind_a_gear_is_ratio_times_its_opposite():
     driveline = Driveline.from_study(study)
     assert driveline.stiffness == pytest.approx(np.array([[10.0, -30.0], [-30.0, 90.0 + 20.0]]), rel=1e-14)
     assert driveline.damping == pytest.approx(np.array([[0.1, -0.3], [-0.3, 0.9 + 0.8]]), rel=1e-14)
-    assert driveline.contact_period == pytest.approx(2.0 * np.pi / np.sqrt(1e3 * (1.0 / 0.01 + 9.0 / 0.09)), rel=1e-14)
+    assert driveline.contact_periods[0] == pytest.approx(
+        2.0 * np.pi / np.sqrt(1e3 * (1.0 / 0.01 + 9.0 / 0.09)), rel=1e-14
+    )
     history = sample(simulate(study), until=0.3)
     q = history.angle[:, 0] - 3.0 * history.angle[:, 1]
     assert history.backlash_coordinate == pytest.approx(0.1 * q, abs=1e-15)

@@ -124,7 +124,7 @@ def _models(e: Evidence) -> Iterator[Claim]:
     )
     run = e.runs["restitution"][NOMINAL_RATIO]
     touches = np.flatnonzero(run.events["kind"] == TOUCH)
-    after = run.states[touches, run.states.shape[1] // 2 :] @ Driveline.from_study(run.study).lash
+    after = run.states[touches, run.states.shape[1] // 2 :] @ Driveline.from_study(run.study).lashes[0]
     rebounds = np.abs(after) > 0.0  # not those that lock
     ratio = after[rebounds] / run.events["speed"][touches][rebounds]
     yield _contradicts(

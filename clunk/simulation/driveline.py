@@ -122,21 +122,6 @@ class Driveline:
         """(n, n) stiffness with the lash open  [N m/rad]."""
         return _across(self.shafts, self.shaft_stiffness)
 
-    @property
-    def lash(self) -> FloatArray:
-        """(n,) q of the first lash = lash · θ."""
-        return np.asarray(self.lashes[0])
-
-    @property
-    def contact_stiffness(self) -> float:
-        """Of the first lash  [N m/rad]."""
-        return float(self.contact_stiffnesses[0])
-
-    @property
-    def contact_damping(self) -> float:
-        """Of the first lash  [N m s/rad]."""
-        return float(self.contact_dampings[0])
-
     def matrices(self, *, closed: bool | Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Damping and stiffness, (n, n) each, with the springs and dampers of closed lashes: of all, none, or some.
 
@@ -205,11 +190,6 @@ class Driveline:
         springs = np.concatenate([self.shafts[..., self.is_spring, :], self.lashes], axis=-2)
         dampers = np.sqrt(self.shaft_damping)[..., None] * self.shafts
         return rigid.steady_motion(self.inertia, springs, dampers, self.load)
-
-    @property
-    def contact_period(self) -> float:
-        """T_c of the first lash  [s]."""
-        return float(self.contact_periods[0])
 
     @property
     def contact_periods(self) -> FloatArray:
@@ -296,7 +276,7 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
     return build_system(
         inertia=driveline.inertia,
         damping=driveline.damping,
-        stiffness=driveline.plain_stiffness if driveline.staged else driveline.stiffness,
+        stiffness=driveline.plain_stiffness,
         load=driveline.load,
         lashes=[_core_lash(study, driveline, k) for k in range(len(study.lashes))],
         end_time=driveline.varied.get(("solver", "end_time"), study.solver.end_time),

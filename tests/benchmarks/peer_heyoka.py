@@ -32,9 +32,9 @@ def make(tolerance: float):
     angles = hy.make_vars(*(f"angle_{k}" for k in range(n)))
     speeds = hy.make_vars(*(f"speed_{k}" for k in range(n)))
     in_contact, preload, half_gap = hy.par[0], hy.par[1], hy.par[2]
-    i, j = (int(np.flatnonzero(driveline.lash == sign)[0]) for sign in (1.0, -1.0))
+    i, j = (int(np.flatnonzero(driveline.lashes[0] == sign)[0]) for sign in (1.0, -1.0))
     gap, gap_speed = angles[i] - angles[j], speeds[i] - speeds[j]
-    stiffness, damping = driveline.contact_stiffness, driveline.contact_damping
+    stiffness, damping = driveline.contact_stiffnesses[0], driveline.contact_dampings[0]
     contact = in_contact * (stiffness * gap + damping * gap_speed) - preload
 
     system = list(zip(angles, speeds, strict=True))
@@ -43,8 +43,8 @@ def make(tolerance: float):
         terms += [-driveline.damping[k, m] / inertia * speeds[m] for m in range(n) if driveline.damping[k, m]]
         if driveline.load[k]:
             terms.append(torque / inertia)
-        if driveline.lash[k]:
-            terms.append(-driveline.lash[k] / inertia * contact)
+        if driveline.lashes[0][k]:
+            terms.append(-driveline.lashes[0][k] / inertia * contact)
         system.append((speeds[k], hy.sum(terms)))
 
     log = [array("d") for _ in range(LANES)]

@@ -19,19 +19,19 @@ def make(**options):
     """
     study = events_table.study()
     driveline = Driveline.from_study(study)
-    inertia, lash, n = driveline.inertia, driveline.lash, driveline.inertia.size
+    inertia, lash, n = driveline.inertia, driveline.lashes[0], driveline.inertia.size
     i, j = (int(np.flatnonzero(lash == sign)[0]) for sign in (1.0, -1.0))
     half_gaps, angles_at_rest, sides = events_table.preload(study, driveline)
 
     def rates(closed):
         coupling = closed * np.outer(lash, lash)
-        stiffness = driveline.stiffness + driveline.contact_stiffness * coupling
-        damping = driveline.damping + driveline.contact_damping * coupling
+        stiffness = driveline.stiffness + driveline.contact_stiffnesses[0] * coupling
+        damping = driveline.damping + driveline.contact_dampings[0] * coupling
         return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / inertia[:, None], -damping / inertia[:, None]]])
 
     opened, closed = rates(0.0), rates(1.0)
     drive = np.concatenate([np.zeros(n), driveline.load * load_step(study.load).after / inertia])
-    push = np.concatenate([np.zeros(n), driveline.contact_stiffness * lash / inertia])
+    push = np.concatenate([np.zeros(n), driveline.contact_stiffnesses[0] * lash / inertia])
 
     def run(cell):
         half_gap, side, time = half_gaps[cell], int(sides[cell]), 0.0

@@ -193,7 +193,8 @@ class Peer:
         driveline = Driveline.from_study(events_table.study())
         _, _, sides = events_table.preload(events_table.study(), driveline)
         labels = [
-            label_of(run, int(side), driveline.contact_period) for run, side in zip(found, sides[cells], strict=True)
+            label_of(run, int(side), driveline.contact_periods[0])
+            for run, side in zip(found, sides[cells], strict=True)
         ]
         compare(self.row, cells, found, labels, expected)
 

@@ -207,8 +207,8 @@ class Plant:
         inertia = [mpf(value) for value in study.driveline.inertias]
         n = len(inertia)
         lash = self.incidence(study.lash.between, n)
-        self.contact_stiffness = mpf(driveline.contact_stiffness)
-        contact_damping = mpf(driveline.contact_damping)
+        self.contact_stiffness = mpf(driveline.contact_stiffnesses[0])
+        contact_damping = mpf(driveline.contact_dampings[0])
         stiffness, damping = mp.zeros(n), mp.zeros(n)
         for shaft in study.driveline.shafts:
             twist = self.incidence(shaft.between, n)

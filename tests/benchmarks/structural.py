@@ -70,7 +70,7 @@ def make(study: clunk.Study):
     angles = hy.make_vars(*(f"angle_{k}" for k in range(n)))
     speeds = hy.make_vars(*(f"speed_{k}" for k in range(n)))
     of_gap, of_speed, overlap, first_stiffness, *of_inertias = (hy.par[k] for k in range(4 + n))
-    gap, gap_speed = (sum_of(line.lash, coordinates) for coordinates in (angles, speeds))
+    gap, gap_speed = (sum_of(line.lashes[0], coordinates) for coordinates in (angles, speeds))
     contact = of_gap * gap + of_speed * gap_speed - overlap
     torques = [
         (first_stiffness if k == 0 else hy.expression(line.shaft_stiffness[k])) * sum_of(row, angles)
@@ -80,11 +80,11 @@ def make(study: clunk.Study):
     system = list(zip(angles, speeds, strict=True))
     for k in range(n):
         terms = [-row[k] * twist for row, twist in zip(line.shafts, torques, strict=True) if row[k]]
-        terms += [-line.lash[k] * contact] if line.lash[k] else []
+        terms += [-line.lashes[0][k] * contact] if line.lashes[0][k] else []
         terms += [hy.expression(torque)] if line.load[k] else []
         system.append((speeds[k], of_inertias[k] * hy.sum(terms)))
     log, stiffness = [array("d") for _ in range(LANES)], np.zeros(LANES)
-    damping, radius = line.contact_damping, study.lashes[0].radius
+    damping, radius = line.contact_dampings[0], study.lashes[0].radius
 
     def on_flank(side: int):
         def callback(_, sign: int, lane: int) -> bool:
@@ -122,7 +122,7 @@ def make(study: clunk.Study):
             state[:] = states[batch].T
             contact_stiffness, third, fourth, shaft = (values[key][batch] for key in DRAWN)
             stiffness[:] = radius**2 * contact_stiffness
-            side = np.sign(line.lash @ state[:n])
+            side = np.sign(line.lashes[0] @ state[:n])
             parameters[:4] = stiffness, np.full(LANES, damping), side * stiffness * half_gap, shaft
             parameters[4:] = 1.0 / line.inertia[:, None]
             parameters[6], parameters[7] = 1.0 / third, 1.0 / fourth
