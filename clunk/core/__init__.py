@@ -23,8 +23,8 @@ driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 `exponential` for its steps and `extremes` for their turns and integrals; nothing of a run depends on it.
 
 A sweep enters by `tile.run_tile`: for each cell `_begin`, then `run.begin` and `run.advance` of the exact method or
-`rk4.run.run`, and at the end `_describe`, which packs the primaries' flanks into a `pattern`; a single run by
-`tile.run`, a tile of one cell. Whoever reads the results unpacks the pattern, and has its label from `sequence.label`.
+`rk4.run.run`, and at the end `_describe`, which packs the primaries' flanks into a `pattern`; a single run is a tile of
+one cell. Whoever reads the results unpacks the pattern, and has its label from `sequence.label`.
 
 Words
 -----

@@ -96,7 +96,7 @@ class Output(NamedTuple):
     of its lashes.
     """
 
-    cells: npt.NDArray[np.void]  # (cells, L) CELL
+    cells: npt.NDArray[np.void]  # (cells, L) CELL, zeros
     impacts: npt.NDArray[np.void]  # (capacity,) IMPACT
     logs: npt.NDArray[np.void]  # (cells, capacity) EVENT, behind a run's events as it was; or (0, 0)
     states: FloatArray  # (cells, capacity, N)  [rad, rad/s]  at these, changes of stage among them; or (0, 0, 0)
@@ -154,30 +154,6 @@ def batch_of(system: System, tables: Steps | Flows, channels: Channels | None = 
     if isinstance(tables, Flows):
         tables = Flows._make(table[None] for table in tables)
     return Batch(system, alone(system), tables, channels)
-
-
-def run(system: System, tables: Steps | Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
-    """Run one load step by the method that the tables are for, from a given state.
-
-    Parameters
-    ----------
-    start : Start
-        rk4 overwrites its state by the one at the end.
-    log : Log
-        Output.
-    stop : (1,) uint8
-        Set to non-zero from another thread to abandon the run.
-    """
-    cells, ends = np.zeros((1, len(system.lashes)), CELL), np.zeros(1)
-    log.events["time"] = np.nan
-    impacts = np.zeros(len(system.lashes) * log.events.size, IMPACT)
-    output = Output(cells, impacts, log.events[None], log.states[None], log.extremes[None], ends)
-    regimes, loads = np.array([start.regime]), start.loads[start.load][None]
-    cases = Cases(start.before[None], loads, np.zeros(1, np.int64), start.x[None], regimes)
-    done, _ = run_tile(batch_of(system, tables), 0.0, cases, 0, log.events.size - 1, output, stop)
-    log.margins[:] = cells["margin"]
-    cell, written = cells[0, 0], int(np.count_nonzero(~np.isnan(log.events["time"])))
-    return Outcome(int(cell["status"]) if done else INTERRUPTED, written, int(cell["quality"]), float(ends[0]))
 
 
 def run_tile(
@@ -360,14 +336,11 @@ def _begin(system: System, cases: Cases, k: int, cells: npt.NDArray[np.void], x:
         status, regime = switching.preload(system, cases.before[k], x)
     for lash in range(lashes_of(system)):
         cell = cells[lash]
-        cell.pattern = 0
         cell.severity = np.nan
         cell.approach_velocity = np.nan
         cell.last_event_time = np.nan
         cell.margin = np.nan
-        cell.primary_impacts = 0
         cell.touches = 0
-        cell.quality = 0
         cell.initial_side = system.contacts[regime, lash].side if status == _OK else 0
         cell.status = status
     return int(regime)

@@ -11,14 +11,12 @@ from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, STAGE, TOUCH
 from clunk.core.exact.run import MOST
 from clunk.core.regimes import System
-from clunk.core.runs import Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
-from clunk.core.severity import peak_to_peak, root_of_squares
+from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.tables import half_gap_of
 from clunk.simulation import driveline
 from clunk.simulation.load import run_load, torque_at, wave_rates
-from clunk.simulation.phases import preload
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
 from clunk.study.records import Rows, as_text
@@ -219,22 +217,27 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     """
     system, tables = driveline.prepare(study)
     before, pieces = run_load(study)
-    if initial_state is None:
-        sides, start = _preloaded(study, system, before, pieces)
-    else:
-        state = np.asarray(initial_state, dtype=np.float64)
-        sides, start = _started_at(study, system, before, pieces, state)
+    case = tile.Cases(before[None], pieces[None], np.zeros(1, np.int64))
+    if initial_state is not None:
+        x, regime = _started_at(system, before, np.asarray(initial_state, dtype=np.float64))
+        case = case._replace(states=x[None], regimes=np.array([regime]))
+        if system.status == Status.UNSTABLE_STEP:
+            raise ClunkError(_sentence(study, Status.UNSTABLE_STEP))
     room, lashes, status = tile.EVENTS, len(study.lashes), Status.EVENT_BUFFER_FULL
+    batch, stop, size = tile.batch_of(system, tables), np.zeros(1, np.uint8), system.rates.shape[1]
     while status == Status.EVENT_BUFFER_FULL:
         capacity = room + 1
-        log = Log(
-            events=np.zeros(capacity, EVENT),
-            extremes=np.zeros((capacity, lashes, 2)),
-            margins=np.zeros(lashes),
-            states=np.zeros((capacity, system.rates.shape[1])),
+        output = tile.Output(
+            cells=np.zeros((1, lashes), tile.CELL),
+            impacts=np.zeros(lashes * capacity, tile.IMPACT),
+            logs=np.zeros((1, capacity), EVENT),
+            states=np.zeros((1, capacity, size)),
+            extremes=np.zeros((1, capacity, lashes, 2)),
+            ends=np.zeros(1),
         )
-        outcome = tile.run(system, tables, start._replace(x=start.x.copy()), log, np.zeros(1, np.uint8))
-        phases, status = log.events[: outcome.written].copy(), Status(outcome.status)
+        output.logs["time"] = np.nan
+        _, found = tile.run_tile(batch, 0.0, case._replace(states=case.states.copy()), 0, room, output, stop)
+        phases, status = output.logs[0][~np.isnan(output.logs["time"][0])], Status(output.cells["status"][0, 0])
         is_event = phases["kind"] != STAGE
         stages = np.count_nonzero(~is_event)
         if len(phases) - stages > study.solver.max_events + 1 or stages > switching.MOST_STAGES:
@@ -242,19 +245,19 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         room *= tile.MORE
     if status != Status.OK:
         raise ClunkError(_sentence(study, status))
-    states = log.states[: outcome.written, : 2 * system.inertias].copy()
-    events, begins, (high, low) = phases[is_event].copy(), np.flatnonzero(is_event), log.extremes[: outcome.written].T
+    states = output.states[0, : len(phases), : 2 * system.inertias].copy()
+    events, begins, (high, low) = phases[is_event], np.flatnonzero(is_event), output.extremes[0, : len(phases)].T
     extremes = np.stack([np.maximum.reduceat(high, begins, 1), np.minimum.reduceat(low, begins, 1)]).T
-    primaries_of, severities_of = [], []
-    begun = system.contacts[start.regime]["side"].tolist()
-    for lash, (side, sticking_time) in enumerate(zip(begun, system.sticking_time.tolist(), strict=True)):
-        primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
-        impacts = find_primaries(events, len(events), lash, side, sticking_time, primaries)
-        peak_to_peak(extremes[:, lash], len(events), primaries, impacts, severity)
-        if system.impulsive:  # the acceleration of an impulsive touch is not a number
-            severity[:impacts] = np.nan
+    sides = output.cells["initial_side"][0].astype(np.int64)
+    if initial_state is not None:  # in the gap, the nearer one
+        sides = np.where(
+            system.lashes[:, system.inertias : 2 * system.inertias] @ states[0, : system.inertias] >= 0.0, 1, -1
+        )
+    cells, primaries_of, primaries = output.cells[0], [], np.zeros(len(events), np.int64)
+    for lash, (cell, sticking_time) in enumerate(zip(cells, system.sticking_time.tolist(), strict=True)):
+        impacts = find_primaries(events, len(events), lash, int(cell["initial_side"]), sticking_time, primaries)
         primaries_of.append(primaries[:impacts].copy())
-        severities_of.append(severity[:impacts].copy())
+    severities = output.impacts["severity"][:found].copy()
     return Trajectory(
         study=study,
         initial_sides=sides,
@@ -264,28 +267,16 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         phases=phases,
         phase_states=states,
         primaries_of=tuple(primaries_of),
-        severities_of=tuple(severities_of),
-        margins=log.margins,
-        complete=bool(outcome.quality & QUALITY_COMPLETE),
-        end=float(outcome.end),
+        severities_of=tuple(np.split(severities, np.cumsum(cells["primary_impacts"])[:-1])),
+        margins=cells["margin"].copy(),
+        complete=bool(cells["quality"][0] & QUALITY_COMPLETE),
+        end=float(output.ends[0]),
     )
 
 
-def _preloaded(study: Study, system: System, before: Floats, pieces: Floats) -> tuple[Integers, Start]:
-    """The initial sides and the start of a run from steady motion in contact."""
-    if system.status != Status.OK:
-        raise ClunkError(_sentence(study, Status(system.status)))
-    rest = preload(system, before)
-    if rest.status != Status.OK:
-        raise ClunkError(_sentence(study, rest.status))
-    return rest.sides, Start(rest.x, rest.regime, before, pieces[None], 0)
-
-
-def _started_at(study: Study, system: System, before: Floats, pieces: Floats, state: Floats) -> tuple[Integers, Start]:
-    """The initial sides and the start of a run from a state (θ, θ')."""
+def _started_at(system: System, before: Floats, state: Floats) -> tuple[Floats, int]:
+    """The state of a run that begins at (θ, θ'), and its regime."""
     size = 2 * system.inertias
-    if system.status == Status.UNSTABLE_STEP:
-        raise ClunkError(_sentence(study, Status.UNSTABLE_STEP))
     if state.shape != (size,) or not np.all(np.isfinite(state)):
         raise ClunkError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
     gaps = system.lashes[:, system.inertias : size] @ state[: system.inertias]
@@ -294,8 +285,7 @@ def _started_at(study: Study, system: System, before: Floats, pieces: Floats, st
         raise ClunkError("The initial state overlaps a flank, which the restitution model does not allow.")
     x, inputs = np.zeros(system.rates.shape[1]), np.ones(system.weights.shape[1])
     x[:size], inputs[: before.size] = state, before
-    sides = np.where(gaps >= 0.0, 1, -1)
-    return sides, Start(x, switching.regime_of(system, x, inputs), before, pieces[None], 0)
+    return x, switching.regime_of(system, x, inputs)
 
 
 def _repeating(study: Study, system: System, phases: Records) -> str:
