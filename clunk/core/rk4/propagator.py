@@ -44,10 +44,10 @@ class Steps(NamedTuple):
 
 def build_steps(system: System, step: float) -> Steps:
     """The tables of RK4 with a step of `step` s."""
-    bound, stable = _modal_bound(system, step)
+    stable, *bound = _modal_bound(system, step)
     rates, functionals = _rolling_apart(system)
     propagator = _propagator(rates, system.inputs, functionals, system.feedthrough, step)
-    return Steps(step=step, stable=int(stable), **propagator, **bound)
+    return Steps(step, stable, *propagator, *bound)
 
 
 def _rolling_apart(system: System) -> tuple[FloatArray, FloatArray]:
@@ -73,10 +73,11 @@ def rk4_growth(eigenvalues: npt.NDArray[np.complex128], step: float | FloatArray
 
 def _propagator(
     rates: FloatArray, inputs: FloatArray, functionals: FloatArray, feedthrough: FloatArray, step: float
-) -> dict[str, Any]:
+) -> tuple[Any, ...]:
     """One RK4 step as a matrix: the Taylor polynomial of exp(hA) to degree 4, identical to the four stages.
 
-    The outputs of the next state are appended to it, so that stepping and watching are one product.
+    The outputs of the next state are appended to it, so that stepping and watching are one product. Returns the fields
+    of `Steps` from `transfer` to `observe_input`.
     """
     (flows, size), driven = rates.shape[:2], inputs.shape[2]
     identity = np.eye(size)
@@ -98,9 +99,8 @@ def _propagator(
     rows_input: FloatArray = output_input.reshape(flows, -1, driven)
 
     columns, outputs = _padded(size), rows.shape[1]
-    observe, observe_input = np.zeros((flows, columns, outputs)), np.zeros((flows, driven, outputs))
+    observe, observe_input = np.zeros((flows, columns, outputs)), rows_input.transpose(0, 2, 1).copy()
     observe[:, :size] = rows.transpose(0, 2, 1)
-    observe_input[:] = rows_input.transpose(0, 2, 1)
 
     def product(steps: int) -> tuple[FloatArray, FloatArray]:
         """(x, outputs at every step) after `steps` steps."""
@@ -116,29 +116,21 @@ def _propagator(
         transfer_input[:, :, :size] = power_input.transpose(0, 2, 1)
         return transfer, transfer_input
 
-    transfer, transfer_input = product(1)
-    block, block_input = product(BLOCK)
-    return {
-        "transfer": transfer,
-        "transfer_input": transfer_input,
-        "block": block,
-        "block_input": block_input,
-        "observe": observe,
-        "observe_input": observe_input,
-    }
+    return *product(1), *product(BLOCK), observe, observe_input
 
 
 def _padded(count: int) -> int:
     return -(-count // _LANES) * _LANES
 
 
-def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
+def _modal_bound(system: System, step: float) -> tuple[Any, ...]:
     """Per flow, what bounds a functional for all time: its rest value and its modes' amplitudes.
 
     With left eigenvectors w_k and right v_k, C x(t) = rest + sum of Re(C v_k  w_k·(x - x_rest) g_k(t)) and |g_k| <= 1
     both for exp(λ t) and for RK4's powers of R(h λ), within a step included (checked on a grid of partial steps).
     A flow with another mode at zero than the drift of the whole driveline, which no functional depends on, or with a
     badly conditioned eigenbasis has no such bound here. A wave that is a ramp is at rest where the bound matters.
+    Returns whether RK4 is stable, and the fields of `Steps` from `provable` on.
     """
     flows, size, driven = system.inputs.shape
     mechanical, states = 2 * system.inertias, size
@@ -185,11 +177,4 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         rest_functional[flow] = functionals[flow] @ rest_state[flow, :states] + feedthrough[flow]
     if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
         rest_functional[:, ACCELERATION : lashes * system.functionals_per_lash : system.functionals_per_lash] = 0.0
-    bound = {
-        "provable": provable,
-        "mode_rows": mode_rows,
-        "mode_reach": mode_reach,
-        "rest_state": rest_state,
-        "rest_functional": rest_functional,
-    }
-    return bound, stable
+    return int(stable), provable, mode_rows, mode_reach, rest_state, rest_functional

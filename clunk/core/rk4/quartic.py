@@ -40,39 +40,27 @@ def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, hi
 
 
 @part
-def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[int, float, float, float]:
+def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
-    The zeros of p'' in closed form cut p' into monotone pieces, each with at most one zero.
-
-    Returns
-    -------
-    count, s1, s2, s3 : int and three floats, those beyond `count` equal to `length`
+    The zeros of p'' in closed form cut p' into monotone pieces, each with at most one zero. One that there
+    is not is the one before, or 0.
     """
     d2, d3, d4 = 2.0 * c2, 3.0 * c3, 4.0 * c4  # p' = c1 + d2 s + d3 s^2 + d4 s^3
     if abs(c1) > length * (abs(d2) + length * (abs(d3) + length * abs(d4))):
-        return 0, length, length, length
+        return 0.0, 0.0, 0.0
     cut1, cut2 = _quadratic_roots(d2, 2.0 * d3, 3.0 * d4, length)
-    count = 0
-    s1, s2, s3 = length, length, length
-    low = 0.0
-    value_low = c1
-    for piece in range(3):
-        high = cut1 if piece == 0 else (cut2 if piece == 1 else length)
-        if high <= low:
-            continue
-        value_high = evaluate(c1, d2, d3, d4, 0.0, high)
-        if (value_low < 0.0) != (value_high < 0.0):
-            root = bisect(c1, d2, d3, d4, 0.0, low, high)
-            if count == 0:
-                s1 = root
-            elif count == 1:
-                s2 = root
-            else:
-                s3 = root
-            count += 1
-        low, value_low = high, value_high
-    return count, s1, s2, s3
+    s1 = _sign_change(c1, d2, d3, d4, 0.0, cut1, 0.0)
+    s2 = _sign_change(c1, d2, d3, d4, cut1, cut2, s1)
+    return s1, s2, _sign_change(c1, d2, d3, d4, cut2, length, s2)
+
+
+@part
+def _sign_change(c0: float, c1: float, c2: float, c3: float, low: float, high: float, otherwise: float) -> float:
+    """Where a cubic that is monotone between two places changes its sign there."""
+    if high <= low or (evaluate(c0, c1, c2, c3, 0.0, low) < 0.0) == (evaluate(c0, c1, c2, c3, 0.0, high) < 0.0):
+        return otherwise
+    return bisect(c0, c1, c2, c3, 0.0, low, high)
 
 
 @part
@@ -104,13 +92,10 @@ def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length
         return 0.0
     if c0 > length * (abs(c1) + length * (abs(c2) + length * (abs(c3) + length * abs(c4)))):
         return -1.0
-    _, s1, s2, s3 = stationary_points(c1, c2, c3, c4, length)
+    s1, s2, s3 = stationary_points(c1, c2, c3, c4, length)
     low = 0.0
-    for piece in range(4):
-        high = s1 if piece == 0 else (s2 if piece == 1 else (s3 if piece == 2 else length))
-        if high <= low:
-            continue
-        if evaluate(c0, c1, c2, c3, c4, high) < 0.0:
+    for high in (s1, s2, s3, length):
+        if high > low and evaluate(c0, c1, c2, c3, c4, high) < 0.0:
             return bisect(c0, c1, c2, c3, c4, low, high)
         low = high
     return -1.0
@@ -121,7 +106,7 @@ def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: floa
     """The largest and the smallest value of p on [0, length], both ends included."""
     end = evaluate(c0, c1, c2, c3, c4, length)
     largest, smallest = max(c0, end), min(c0, end)
-    _, s1, s2, s3 = stationary_points(c1, c2, c3, c4, length)
+    s1, s2, s3 = stationary_points(c1, c2, c3, c4, length)
     for s in (s1, s2, s3):
         value = evaluate(c0, c1, c2, c3, c4, s)
         largest, smallest = max(largest, value), min(smallest, value)
