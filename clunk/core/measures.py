@@ -77,7 +77,8 @@ def measure_runs(
     totals : (cells, L, OF_IMPACTS + measures) float64
         Output, for each lash: roots of the summed squares of its impacts' values, then the measures.
     of_impacts : (impacts, OF_IMPACTS) float64
-        Output, if `channels.of_impacts`: impulse [N m s], peak torque [N m] and energy [J] of each of the impacts.
+        Output, zeros before: impulse [N m s], peak torque [N m] and energy [J] of each of the impacts, if
+        `channels.of_impacts`.
     """
     size, count, lashes = channels.rates.shape[-1], channels.series.shape[2], system.lashes.shape[0]
     room = Room(
@@ -93,6 +94,8 @@ def measure_runs(
         systems=np.empty((len(channels.rates), words_of(system)), np.int64),
     )
     _measure_runs(system, each, channels, cases, output, room, totals, of_impacts)
+    if system.impulsive:
+        totals[..., PEAK_TORQUE] = of_impacts[..., PEAK_TORQUE] = np.nan
 
 
 @compiled
@@ -144,9 +147,6 @@ def _measure(
         room.low[c], room.high[c] = np.inf, -np.inf
     for lash in range(lashes):
         room.row[lash] = room.first[lash] - 1
-    for i in range(room.first[0], room.first[lashes] if channels.of_impacts != 0 else 0):
-        for j in range(OF_IMPACTS):
-            of_impacts[i, j] = 0.0
     for e in range(written):
         event = events[e]
         for j in range(n):
@@ -172,13 +172,7 @@ def _measure(
     for lash in range(lashes):
         first, last = room.first[lash], room.first[lash + 1]
         for j in range(OF_IMPACTS):
-            totals[lash, j] = np.nan
-            if channels.of_impacts != 0:
-                for i in range(first, last if system.impulsive != 0 and j == PEAK_TORQUE else first):
-                    of_impacts[i, j] = np.nan
-                totals[lash, j] = root_of_squares(of_impacts[first:last, j], last - first)
-        if system.impulsive != 0:
-            totals[lash, PEAK_TORQUE] = np.nan
+            totals[lash, j] = root_of_squares(of_impacts[first:last, j], last - first)
         for m in range(channels.reductions.size):
             low, high = room.low[OF_LASH * lashes + m], room.high[OF_LASH * lashes + m]
             is_swing = channels.reductions[m] == PEAK_TO_PEAK

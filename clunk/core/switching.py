@@ -61,28 +61,27 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         Output.
     """
     system = refer(system)
-    lashes, stages, in_stage = lashes_of(system), system.preload.shape[0], False
+    lashes, stages = lashes_of(system), system.preload.shape[0]
+    status = _NO_INITIAL_FLANK if stages == 1 else _NO_EQUILIBRIUM
     for regime in range(stages * system.regime_strides[lashes]):
-        closed, presses = True, True
-        stage = regime // system.regime_strides[lashes]
+        stage, closed, presses = regime // system.regime_strides[lashes], True, True
         for lash in range(lashes):
-            closed = closed and system.contacts[regime, lash].closed != 0
-        if not closed:
-            continue
-        for lash in range(lashes):
+            contact = system.contacts[regime, lash]
             torque = _of_inputs(system, regime, system.contact_torque[stage, lash], inputs)
-            presses = presses and system.contacts[regime, lash].side * torque > 0.0
-        if not presses and (in_stage or stages == 1):
+            closed, presses = closed and contact.closed != 0, presses and contact.side * torque > 0.0
+        if not closed or (not presses and status == _NO_INITIAL_FLANK):
             continue
         for k in range(x.size):
             x[k] = _of_inputs(system, regime, system.preload[stage, k], inputs)
-        if stages == 1 or _is_in_stage(system, regime, x):
-            if stages > 1 and _is_beside_loose(system, regime, x):
-                return _NO_EQUILIBRIUM, OPEN
-            in_stage = True
-            if presses:
-                return _OK, regime
-    return (_NO_INITIAL_FLANK if in_stage or stages == 1 else _NO_EQUILIBRIUM), OPEN
+        is_in_stage, is_beside_loose = _is_in_stage(system, regime, x)
+        if not is_in_stage:
+            continue
+        if is_beside_loose:
+            return _NO_EQUILIBRIUM, OPEN
+        if presses:
+            return _OK, regime
+        status = _NO_INITIAL_FLANK
+    return status, OPEN
 
 
 @inlined_part
@@ -103,13 +102,6 @@ def breakpoint_of(system: System, regime: int, guard: int) -> float:
     return float(total)
 
 
-@inlined_part
-def _is_of_stage(system: System, regime: int, guard: int) -> bool:
-    """Whether a guard is of a staged shaft; what follows where a friction's ends is not known beforehand."""
-    row = system.guards[regime, guard]
-    return bool(row.event_kind == STAGE and row.successor >= 0)
-
-
 @part
 def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> float:
     """How far the twist of a staged shaft lies within a breakpoint, as a share of both; 0 where rounding decides."""
@@ -123,23 +115,21 @@ def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> flo
 
 
 @part
-def _is_in_stage(system: System, regime: int, x: FloatArray) -> bool:
-    """Whether the twists of the staged shafts lie, but for rounding, within the stages of a regime."""
-    for g in range(system.regimes[regime].guards):
-        if _is_of_stage(system, regime, g) and _within_stage(system, regime, g, x) < 0.0:
-            return False
-    return True
+def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool]:
+    """Whether the twists of the staged shafts lie, but for rounding, within the stages of a regime.
 
-
-@part
-def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
-    """Whether a staged shaft's twist is at a breakpoint behind which no stiffness tells what it is."""
+    And whether one of them is at a breakpoint behind which no stiffness tells what it is.
+    """
+    is_beside_loose = False
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
-        is_at = _is_of_stage(system, regime, g) and _within_stage(system, regime, g, x) == 0.0
-        if is_at and np.isnan(system.preload[guard.successor // system.regime_strides[lashes_of(system)], 0, TORQUE]):
-            return True
-    return False
+        if guard.event_kind == STAGE and guard.successor >= 0:  # what follows where a friction's ends is not known
+            within = _within_stage(system, regime, g, x)
+            if within < 0.0:
+                return False, False
+            behind = system.preload[guard.successor // system.regime_strides[lashes_of(system)], 0, TORQUE]
+            is_beside_loose = is_beside_loose or (within == 0.0 and np.isnan(behind))
+    return True, is_beside_loose
 
 
 @compiled
@@ -150,9 +140,8 @@ def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
     """
     system = refer(system)
     lashes, first = lashes_of(system), 0
-    while first + system.regime_strides[lashes] < system.preload.shape[0] * system.regime_strides[
-        lashes
-    ] and not _is_in_stage(system, first, x):
+    last = (system.preload.shape[0] - 1) * system.regime_strides[lashes]
+    while first < last and not _is_in_stage(system, first, x)[0]:
         first += system.regime_strides[lashes]
     first = rubbing.in_motion(system, first, 0.0, x)
     if system.impulsive != 0:

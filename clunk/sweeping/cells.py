@@ -245,7 +245,7 @@ class Grid:
             rows, pieces = self._run(batch, part, stop, room, logs, states)
             cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([np.zeros(0, IMPACT), *pieces])
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
-            of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
+            of_impacts = np.zeros((details.size, OF_IMPACTS))
             output = kernel.Output(cells, details, logs, states)
             measure_runs(batch.system, batch.each, channels, part, output, totals, of_impacts)
             names = self.study.impacts.quantities
