@@ -12,7 +12,7 @@ from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
-from clunk.simulation.shapes import kinetic_energy_shares, mode_shapes, shuffle_mode
+from clunk.simulation.shapes import shuffle_mode
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
@@ -175,7 +175,7 @@ def test_the_shuffle_of_a_free_driveline_is_its_lowest_mode(reverse):
     stiffness = 1.0 / (1.0 / 60.0 + 144.0 / 2e4 + 1.0 / 1600.0)
     frequency = np.sqrt(stiffness * (1.0 / 0.22 + 144.0 / 120.9)) / (2.0 * np.pi)
     assert driveline.modes(closed=True).frequency[0] == pytest.approx(frequency, rel=0.007)
-    shares = kinetic_energy_shares(driveline, mode_shapes(driveline, closed=True))
+    shares = driveline.modes(closed=True).energy_shares
     assert shares.sum(axis=1) == pytest.approx(np.ones(len(shares)), rel=1e-14)
     assert shares[0, :2].sum() == pytest.approx((1.0 / 0.22) / (1.0 / 0.22 + 144.0 / 120.9), abs=0.02)
 

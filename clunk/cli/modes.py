@@ -30,7 +30,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     from clunk.core.status import Status
     from clunk.simulation.driveline import explained, steady_driveline, steady_stages, steps_a_period
     from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
-    from clunk.simulation.shapes import kinetic_energy_shares, mode_shapes, shuffle_mode
+    from clunk.simulation.shapes import shuffle_mode
     from clunk.study.config import load_study
 
     study = load_study(config, overrides)
@@ -44,9 +44,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
             "frequency_hz": eigen.frequency.tolist(),
             "damping_ratio": eigen.damping_ratio.tolist(),
             "decay_rate_per_s": eigen.overdamped.tolist(),
-            "kinetic_energy_share": kinetic_energy_shares(
-                driveline, mode_shapes(driveline, closed=state == "closed")
-            ).tolist(),
+            "kinetic_energy_share": eigen.energy_shares.tolist(),
         }
     several, shuffle = len(study.lashes) > 1, shuffle_mode(driveline)
     thresholds = {"lowest mode": one_mode_thresholds, "all modes": rigid_contact_thresholds}

@@ -41,6 +41,8 @@ class Modes:
     frequency: FloatArray  # (k,)  Hz, undamped natural frequency |λ|/2π
     damping_ratio: FloatArray  # (k,)  ζ = -Re λ/|λ|
     overdamped: FloatArray  # (m,)  1/s; a rigid-body drift has 0
+    shapes: npt.NDArray[np.complex128]  # (k, n)  amplitudes of the angles in each mode
+    energy_shares: FloatArray  # (k, n)  of each inertia in the mode's kinetic energy, J |θ|² over the sum
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,16 +213,21 @@ class Driveline:
 
     def modes(self, *, closed: bool) -> Modes:
         """Natural frequencies and damping ratios with all lashes closed or open."""
-        eigenvalues = np.linalg.eigvals(self.free_motion(closed=closed)[0])
-        rounding = 1e-7 * np.abs(eigenvalues).max()  # a double zero, an undamped drift, is found to half the digits
-        oscillating = eigenvalues[eigenvalues.imag > rounding]
-        oscillating = oscillating[np.argsort(np.abs(oscillating))]
-        monotone = eigenvalues[np.abs(eigenvalues.imag) <= rounding]
+        rates, angles = self.free_motion(closed=closed)
+        every, vectors = np.linalg.eig(rates)
+        rounding = 1e-7 * np.abs(every).max()  # a double zero, an undamped drift, is found to half the digits
+        order = np.argsort(np.abs(every))
+        order = order[every[order].imag > rounding]
+        oscillating, monotone = every[order], every[np.abs(every.imag) <= rounding]
         monotone[np.abs(monotone) <= rounding] = 0.0
+        shapes = np.asarray((angles @ vectors)[: self.inertia.size, order].T, np.complex128)
+        energy = self.inertia * np.abs(shapes) ** 2
         return Modes(
             frequency=np.abs(oscillating) / (2.0 * np.pi),
             damping_ratio=-oscillating.real / np.abs(oscillating),
             overdamped=np.sort(np.abs(monotone.real)),
+            shapes=shapes,
+            energy_shares=energy / energy.sum(axis=1, keepdims=True),
         )
 
 

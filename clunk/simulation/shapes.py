@@ -1,30 +1,10 @@
-"""Mode shapes of a driveline: the inertias that each mode moves, and the mode that is the shuffle."""
+"""The mode of a driveline that is the shuffle, told by its shape."""
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.rigid import speeds_along
-from clunk.study.arrays import Bools, Floats
-
-Shapes = npt.NDArray[np.complex128]
-
-
-def mode_shapes(driveline: Driveline, *, closed: bool) -> Shapes:
-    """(k, n) complex amplitudes of the angles in each oscillating mode, lowest frequency first, as `modes` has them."""
-    modes = driveline.modes(closed=closed)
-    decay = modes.damping_ratio
-    rates = 2.0 * np.pi * modes.frequency * (-decay + 1j * np.sqrt(np.maximum(1.0 - decay**2, 0.0)))
-    matrix, angles = driveline.free_motion(closed=closed)
-    eigenvalues, vectors = np.linalg.eig(matrix)
-    nearest = np.abs(eigenvalues[None, :] - rates[:, None]).argmin(axis=1)
-    return np.asarray((angles @ vectors)[: driveline.inertia.size, nearest].T, np.complex128)
-
-
-def kinetic_energy_shares(driveline: Driveline, shapes: Shapes) -> Floats:
-    """(k, n) share of each inertia in the kinetic energy of each mode, J |θ|² over the sum; 1 in all."""
-    energy = driveline.inertia * np.abs(shapes) ** 2
-    return np.asarray(energy / energy.sum(axis=1, keepdims=True), np.float64)
+from clunk.study.arrays import Bools
 
 
 def shuffle_mode(driveline: Driveline) -> int | None:
@@ -41,7 +21,7 @@ def shuffle_mode(driveline: Driveline) -> int | None:
     for ends in map(np.flatnonzero, rows):
         joints[ends[0], ends[-1]] = True
         is_held |= bool(ends.size == 1 and turns[ends[0]] != 0.0)
-    for number, shape in enumerate(mode_shapes(driveline, closed=True)):
+    for number, shape in enumerate(driveline.modes(closed=True).shapes):
         reflected = shape[joined] / turns[joined]
         largest = reflected[np.argmax(driveline.inertia[joined] * np.abs(shape[joined]) ** 2)]
         forward[joined] = (reflected * largest.conjugate()).real > 0.0
