@@ -87,8 +87,9 @@ class Boundaries:
     vertices : (V, axes) float64, in the axes' units, of one curve after the other
     curve_counts : (C,) int32, number of vertices of each curve
     curve_left, curve_right : (C,) int16, codes on either side
-    curve_event : (C,) int8, number of each curve's event in `EVENTS`
-    junctions : (J, 2) float64, points where three labels meet, or four where two boundaries cross
+    curve_event : (C,) int8, number in `EVENTS` of the event at the middle of each curve
+    junctions : (J, 2) float64, points where three labels meet, or four where two boundaries cross, right to 1e-7 of
+        the map
     junction_labels : (J, 3 or 4) int16, their codes, ascending, and `NO_LABEL` behind them
     ring_vertices : (W, axes) float64, closed rings of one region after the other, see `Region`
     ring_counts : (G,) int32, number of vertices of each ring
