@@ -67,6 +67,13 @@ def piece_at(load: FloatArray, piece: int, time: float) -> int:
 
 
 @inlined_part
+def end_of_piece(system: System, load: FloatArray, piece: int) -> float:
+    """When a piece of a load ends, or the run if that is sooner  [s]."""
+    end = system.end_time[0]
+    return float(min(end, load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else end)
+
+
+@inlined_part
 def set_gaps(system: System, before: FloatArray, inputs: FloatArray) -> None:
     """Set the half gaps, in the inputs d of a run, to those before the load step."""
     for lash in range(lashes_of(system)):

@@ -433,7 +433,7 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     def rates_of(modes: IntArray) -> FloatArray:
         return np.take_along_axis(sigma, modes, axis=-1)
 
-    unit = _unit(size)
+    unit = np.eye(size)
     basis, block = np.zeros((count, size, size)), np.zeros((count, size, size))
     end = 2 * rings.shape[1]
     basis[..., 0:end:2], basis[..., 1:end:2] = vectors_of(rings).real, vectors_of(rings).imag
@@ -483,11 +483,6 @@ def _velocities_of(damped: IntArray, vectors: npt.NDArray[Any], decays: IntArray
     lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
     moved = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
     return slowest if alike(moved[:, -1] > _APART, 0) else slowest[:, :0]
-
-
-@functools.cache
-def _unit(size: int) -> FloatArray:
-    return np.eye(size)
 
 
 def _propagate(generator: FloatArray, unseen: BoolArray, result: FloatArray) -> None:

@@ -30,7 +30,6 @@ from clunk.core.exact.workspace import (
     number_of,
     set_field,
     set_number_of,
-    step_queue,
     system_at,
     system_of,
 )
@@ -49,7 +48,7 @@ from clunk.core.regimes import (
     take_rolling,
 )
 from clunk.core.rigid import holding_torque
-from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, roll_states, set_torque
+from clunk.core.runs import LEVEL, Entry, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.switching import MOST_STAGES, after_rubbing, begin_run, preload, room_for_a_switch, switch, weigh
 from clunk.core.tables import GAP, TORQUE, TORQUE_RATE
@@ -97,9 +96,13 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
-    numbers[rows.limit(lashes_of(system))], space.numbers[slot, space.kink_at] = system.end_time[0] - time, 0.0
-    if space.loads.shape[1] > 1:
-        _take_piece(space, slot, time, x)
+    load, before = space.loads[row.load], row.piece
+    row.piece = piece_at(load, before, time)
+    if row.piece != before:
+        begin_wave(system, load, row.piece, x)
+    set_torque(system, load, row.piece, time, inputs)
+    numbers[rows.limit(lashes_of(system))] = end_of_piece(system, load, row.piece) - time
+    space.numbers[slot, space.kink_at] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     if frictions_of(system) > 0:
         row.count = entry.written
         entry = after_rubbing(system, entry, time, x, inputs, log_of(space, slot))
@@ -129,21 +132,6 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         shift = weigh(system.offsets[regime, n], inputs, inputs_of(system))
         numbers[rows.shift(n, lashes_of(system))] = shift
     push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
-
-
-@inlined_part
-def _take_piece(space: Workspace, slot: int, time: float, x: FloatArray) -> None:
-    """Set a run's torque to that of the load's piece at a time, and its limit to where that ends."""
-    row, numbers, load = space.runs[slot], space.numbers[slot, space.behind :], space.loads[space.runs[slot].load]
-    piece = piece_at(load, row.piece, time)
-    if piece != row.piece:
-        row.piece = piece
-        begin_wave(space.system, load, piece, x)
-    set_torque(space.system, load, piece, time, space.inputs[slot])
-    if piece + 1 < load.shape[0]:
-        end = min(system_of(space, slot).end_time[0], load[piece + 1, BEGIN])
-        numbers[rows.limit(lashes_of(space.system))] = end - time
-        space.numbers[slot, space.kink_at] = 1.0
 
 
 @part
@@ -202,16 +190,18 @@ def _follow(space: Workspace, slot: int) -> None:
         row.quality |= QUALITY_COMPLETE
         _end(space, slot, _OK, now)
     elif row.ended == rows.AT_END:
-        load = space.loads[row.load]
-        end = system_of(space, slot).end_time[0]
-        if row.piece + 1 < load.shape[0] and load[row.piece + 1, BEGIN] < end:
-            _go_on(space, slot, load[row.piece + 1, BEGIN])
+        system = system_of(space, slot)
+        end = end_of_piece(system, space.loads[row.load], row.piece)
+        if end < system.end_time[0]:
+            _go_on(space, slot, end)
         else:
             _end(space, slot, _OK, end)
     elif row.ended == rows.LOST:
         _end(space, slot, _NON_FINITE, now)
     else:
-        push(space.pool, step_queue(space, row.regime, row.ended == rows.NEARS), slot)
+        entered = space.system.regimes[row.regime]
+        short = row.ended == rows.NEARS or space.flows.modal[0, entered.flow] == 0
+        push(space.pool, (space.queues.short if short else space.queues.span) + entered.group, slot)
 
 
 @inlined_part

@@ -18,7 +18,6 @@ from clunk.core.exact.workspace import (
     field,
     is_still,
     number_of,
-    scale_of,
     set_field,
     set_number_of,
     shortest_span,
@@ -204,7 +203,8 @@ def conclude(space: Workspace, queue: int, count: int, done: int) -> None:
         else:
             deep = search == space.searches_each - 1
             guard = run.guard if deep else search - lashes
-            lash, scale = lash_of(space.system, run.regime, guard), scale_of(space, slot, guard)
+            lash = lash_of(space.system, run.regime, guard)
+            scale = number_of(space, slot, rows.SCALE, lash)
             if abs(bottom) < abs(number_of(space, slot, rows.MARGIN, lash)) * scale:
                 margin = (min(bottom, 0.0) if deep else max(bottom, 0.0)) / scale
                 set_number_of(space, slot, rows.MARGIN, lash, margin)

@@ -53,7 +53,6 @@ _LONGEST_FALL = 2.0**16  # of the shortest spans: a guard that has not turned ba
 # Rows of `outputs`: the functional less its origin; its sway; the origin's value and first three derivatives at the
 # step's beginning, and where it moves also at its end.
 _AWAY, _SWAY, _ORIGIN, _ORIGIN_MOVED = 0, 5, 6, 10
-_ORIGIN_OF_IT = 5  # in rows of `accelerations`, behind the acceleration itself, its origin included
 # Rows of `guards`: the guard at the step's beginning and at its end; its least value and the sixth derivative's
 # remainder in between, as `curves.between` has them.
 _START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
@@ -165,7 +164,7 @@ def _see_guards(space: Workspace, regime: int, at_end: bool) -> None:
         away, origin = load_curve(outputs, at + _AWAY), curves.load_origin(outputs, origin_at)
         guard = curves.as_guard(away, origin, _sign(space, regime, n), _shift(space, n))
         vectors.store(space.guards, row + (_END if at_end else _START), guard)
-        if not at_end:
+        if not at_end and (field(space, rows.ZERO_ORDER) > 0.0) != 0:  # known in the first step of a phase alone
             vectors.store(space.guards, row + _START, vectors.choose(_zero_order(space, n) == 1.0, 0.0, guard.value))
 
 
@@ -233,11 +232,12 @@ def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     for lash in range(lashes_of(space.system)):
         start, origin, sway = _acceleration(space, flow, lash, True)
         high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
-        last = origin.value + origin.slope * time_left
-        largest, smallest = vectors.larger(origin.value, last), vectors.smaller(origin.value, last)
+        largest = smallest = origin.value
+        if space.system.ramps != 0:
+            last = origin.value + origin.slope * time_left
+            largest, smallest = vectors.larger(origin.value, last), vectors.smaller(origin.value, last)
         lanes = (largest + sway > high) | (smallest - sway < low)
         vectors.store(space.accelerations, OF_ACCELERATION * lash, start)
-        vectors.store(space.accelerations, OF_ACCELERATION * lash + _ORIGIN_OF_IT, origin)
         space.may_widen[lash] = lanes
         may_widen |= lanes
     return int(may_widen)
@@ -424,7 +424,7 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
     known, infinite, extremes = space.accelerations, vectors.splat(np.inf), 0
     for lash in range(lashes_of(space.system)):
         start = load_curve(known, OF_ACCELERATION * lash)
-        end, _, _ = _acceleration(space, flow, lash, False)
+        end, origin, _ = _acceleration(space, flow, lash, False)
         largest, smallest = vectors.larger(start.value, end.value), vectors.smaller(start.value, end.value)
         top = vectors.larger(field_of(space, rows.WINDOW_MAX, lash), largest)
         bottom = vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), smallest)
@@ -439,10 +439,10 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
             turns &= ((greatest > top) | (least < bottom)) & ~monotone
         extremes |= turns
         if turns != 0:
-            origin = curves.load_origin(known, OF_ACCELERATION * lash + _ORIGIN_OF_IT)
+            began = curves.Origin(origin.value - h * origin.slope, origin.slope, 0.0 * h, 0.0 * h)
             wanted = Search(h, top, bottom, 0.0 * h + 1.0, 0.0 * h, infinite, -infinite)
             f = lash * space.system.functionals_per_lash + ACCELERATION
-            begin_searches(space, flow, f, lash, turns, wanted, origin)
+            begin_searches(space, flow, f, lash, turns, wanted, began)
     return int(extremes)
 
 

@@ -17,7 +17,7 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import put, reference_at, words_of
-from clunk.core.regimes import Each, System, lash_of, lashes_of
+from clunk.core.regimes import Each, System, lashes_of
 from clunk.core.runs import Log
 from clunk.core.tables import INPUTS, TORQUE_RATE
 
@@ -26,7 +26,7 @@ IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
-OF_OUTPUT, OF_GUARD, OF_ACCELERATION = 14, 12, 9  # rows that a step keeps of a functional, and so on
+OF_OUTPUT, OF_GUARD, OF_ACCELERATION = 14, 12, 5  # rows that a step keeps of a functional, and so on
 
 RUN = np.dtype(
     [
@@ -271,26 +271,9 @@ def is_still(space: Workspace, flow: int) -> bool:
 
 
 @inlined_part
-def scale_of(space: Workspace, slot: int, guard: int) -> float:
-    """The scale of a guard's margin; 0 where it makes none."""
-    regime = space.runs[slot].regime
-    if space.system.guards[regime, guard].makes_margin == 0:
-        return 0.0
-    return number_of(space, slot, rows.SCALE, lash_of(space.system, regime, guard))
-
-
-@inlined_part
 def log_of(space: Workspace, slot: int) -> Log:
     """The events of a run, and its states."""
     return Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
-
-
-@inlined_part
-def step_queue(space: Workspace, regime: int, near: bool) -> int:
-    """The queue of the next step of a run: of a part of the shortest span where an event is near, or of a span."""
-    row = space.system.regimes[regime]
-    short = near or space.flows.modal[0, row.flow] == 0
-    return int((space.queues.short if short else space.queues.span) + row.group)
 
 
 class Search(NamedTuple):

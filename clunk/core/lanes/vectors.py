@@ -306,18 +306,27 @@ def _pointers(context: Any, builder: Any, array: Any, value: Any, offsets: Any, 
         yield builder.bitcast(builder.gep(data, [at]), _EIGHT.as_pointer())
 
 
+def _rows(context: Any, builder: Any, array: Any, value: Any, row: Any, lane: int) -> list[Any]:
+    """Pointers to ROW lanes, from one on, of each of ROW rows of an array."""
+    first = builder.add(builder.mul(row, _INT(WIDTH)), _INT(lane))
+    return [_at(context, builder, array, value, builder.add(first, _INT(k * WIDTH)), _EIGHT) for k in range(ROW)]
+
+
+def _transfer(builder: Any, of: list[Any], to: list[Any]) -> None:
+    """Write the columns of ROW rows of ROW as rows."""
+    for column, pointer in zip(_transposed(builder, [_loaded(builder, at) for at in of]), to, strict=True):
+        builder.store(column, pointer).align = 8
+
+
 @_operation
 def gather(typing: Any, array: Any, offsets: Any, first: Any, to: Any, row: Any) -> Any:
     """ROW numbers of an array from each of the places offsets[k] + first, into lane k of rows of `to`."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        places = _pointers(context, builder, signature.args[0], values[0], signature.args[1], values[1], values[2])
-        pointers, begin = list(places), builder.mul(values[4], _INT(WIDTH))
+        places = list(_pointers(context, builder, signature.args[0], values[0], signature.args[1], *values[1:3]))
         for lane in range(0, WIDTH, ROW):
-            columns = _transposed(builder, [_loaded(builder, pointer) for pointer in pointers[lane : lane + ROW]])
-            for k in range(ROW):
-                at = builder.add(begin, _INT(k * WIDTH + lane))
-                builder.store(columns[k], _at(context, builder, signature.args[3], values[3], at, _EIGHT)).align = 8
+            rows = _rows(context, builder, signature.args[3], *values[3:], lane)
+            _transfer(builder, places[lane : lane + ROW], rows)
         return context.get_dummy_value()
 
     return types.void(array, offsets, types.intp, to, types.intp), emit
@@ -328,16 +337,10 @@ def scatter(typing: Any, of: Any, row: Any, array: Any, offsets: Any, first: Any
     """The other way round: lane k of rows of `of` to the places offsets[k] + first of an array."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        begin = builder.mul(values[1], _INT(WIDTH))
-        places = _pointers(context, builder, signature.args[2], values[2], signature.args[3], values[3], values[4])
-        pointers = list(places)
+        places = list(_pointers(context, builder, signature.args[2], values[2], signature.args[3], *values[3:]))
         for lane in range(0, WIDTH, ROW):
-            rows = []
-            for k in range(ROW):
-                at = builder.add(begin, _INT(k * WIDTH + lane))
-                rows.append(_loaded(builder, _at(context, builder, signature.args[0], values[0], at, _EIGHT)))
-            for column, pointer in zip(_transposed(builder, rows), pointers[lane : lane + ROW], strict=True):
-                builder.store(column, pointer).align = 8
+            rows = _rows(context, builder, signature.args[0], *values[:2], lane)
+            _transfer(builder, rows, places[lane : lane + ROW])
         return context.get_dummy_value()
 
     return types.void(of, types.intp, array, offsets, types.intp), emit

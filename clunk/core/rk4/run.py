@@ -26,6 +26,7 @@ from clunk.core.runs import (
     Outcome,
     Start,
     begin_wave,
+    end_of_piece,
     piece_at,
     roll_states,
     set_torque,
@@ -145,9 +146,10 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             if over:
                 return Outcome(_OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
             if index >= grid.last:
-                if piece + 1 == load.shape[0] or load[piece + 1, BEGIN] >= system.end_time[0]:
-                    return Outcome(_OK, entry.written, 0, system.end_time[0])
-                piece = piece_at(load, piece + 1, load[piece + 1, BEGIN])
+                end = end_of_piece(system, load, piece)
+                if end == system.end_time[0]:
+                    return Outcome(_OK, entry.written, 0, end)
+                piece = piece_at(load, piece + 1, end)
                 begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
                 index, offset = 0, 0.0
                 break
@@ -178,17 +180,12 @@ def _begin_piece(
 ) -> tuple[float, _Grid]:
     """Set wave and torque to those of a piece; return where it begins, and the time grid until it ends."""
     begin = load[piece, BEGIN]
-    end = min(system.end_time[0], load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else system.end_time[0]
     begin_wave(system, load, piece, x)
     set_torque(system, load, piece, begin, inputs)
-    return begin, _grid_of(end - begin, steps.step)
-
-
-@part
-def _grid_of(end_time: float, step: float) -> _Grid:
-    full = int(np.floor(end_time / step + 1e-9))
-    rest = end_time - full * step
-    return _Grid(step, full, rest, full + 1 if rest > 1e-9 * step else full)
+    length = end_of_piece(system, load, piece) - begin
+    full = int(np.floor(length / steps.step + 1e-9))
+    rest = length - full * steps.step
+    return begin, _Grid(steps.step, full, rest, full + 1 if rest > 1e-9 * steps.step else full)
 
 
 @part
