@@ -213,31 +213,44 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 
 
 @inlined_part
-def _acceleration(space: Workspace, flow: int, lash: int, bounded: bool) -> tuple[curves.Curve, curves.Origin, Vector]:
+def _acceleration(space: Workspace, flow: int, lash: int) -> tuple[curves.Curve, curves.Origin, Vector]:
     """A lash's acceleration, its origin, which moves only under a ramp, and a bound of the difference from now on."""
     f = lash * space.system.functionals_per_lash + ACCELERATION
     origin = functionals.origin(space, flow, f, space.system.ramps == 0, field(space, rows.ELAPSED))
-    away, sway = functionals.evaluate(space, flow, f, bounded)
+    away, sway = functionals.evaluate(space, flow, f, True)
     one = vectors.splat(1.0)
     return curves.as_guard(away, origin, one, 0.0 * one), origin, sway
+
+
+@inlined_part
+def _widen(space: Workspace, lash: int, seen: Vector) -> None:
+    """Take a value of a lash's acceleration into the extremes of its window and of the phase."""
+    set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(field_of(space, rows.WINDOW_MAX, lash), seen))
+    set_field_of(space, rows.WINDOW_MIN, lash, vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), seen))
+    set_field_of(space, rows.PHASE_MAX, lash, vectors.larger(field_of(space, rows.PHASE_MAX, lash), seen))
+    set_field_of(space, rows.PHASE_MIN, lash, vectors.smaller(field_of(space, rows.PHASE_MIN, lash), seen))
 
 
 @inlined_part
 def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     """Where an acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
 
-    Each lash's lanes are in `may_widen`, and its acceleration at the step's beginning in `accelerations`.
+    Each lash's lanes are in `may_widen`, and its acceleration at the step's beginning, if it matters, in
+    `accelerations`.
     """
-    may_widen = 0
+    may_widen, enters = 0, field(space, rows.ELAPSED) <= 0.0
     for lash in range(lashes_of(space.system)):
-        start, origin, sway = _acceleration(space, flow, lash, True)
+        _, origin, sway = _acceleration(space, flow, lash)
         high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
         largest = smallest = origin.value
         if space.system.ramps != 0:
             last = origin.value + origin.slope * time_left
-            largest, smallest = vectors.larger(origin.value, last), vectors.smaller(origin.value, last)
+            largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
         lanes = (largest + sway > high) | (smallest - sway < low)
-        vectors.store(space.accelerations, OF_ACCELERATION * lash, start)
+        if (lanes | enters) != 0:
+            start, _, _ = _acceleration(space, flow, lash)
+            vectors.store(space.accelerations, OF_ACCELERATION * lash, start)
+            _widen(space, lash, start.value)
         space.may_widen[lash] = lanes
         may_widen |= lanes
     return int(may_widen)
@@ -423,17 +436,12 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
     """
     known, infinite, extremes = space.accelerations, vectors.splat(np.inf), 0
     for lash in range(lashes_of(space.system)):
-        start = load_curve(known, OF_ACCELERATION * lash)
-        end, origin, _ = _acceleration(space, flow, lash, False)
-        largest, smallest = vectors.larger(start.value, end.value), vectors.smaller(start.value, end.value)
-        top = vectors.larger(field_of(space, rows.WINDOW_MAX, lash), largest)
-        bottom = vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), smallest)
-        set_field_of(space, rows.WINDOW_MAX, lash, top)
-        set_field_of(space, rows.WINDOW_MIN, lash, bottom)
-        set_field_of(space, rows.PHASE_MAX, lash, vectors.larger(field_of(space, rows.PHASE_MAX, lash), largest))
-        set_field_of(space, rows.PHASE_MIN, lash, vectors.smaller(field_of(space, rows.PHASE_MIN, lash), smallest))
+        end, origin, _ = _acceleration(space, flow, lash)
+        _widen(space, lash, end.value)
+        top, bottom = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
         turns = space.may_widen[lash] & advancing
         if turns != 0:
+            start = load_curve(known, OF_ACCELERATION * lash)
             least, greatest, remainder = curves.between(start, end, h)
             monotone, _ = curves.turns_not(start, end, remainder, h)
             turns &= ((greatest > top) | (least < bottom)) & ~monotone
