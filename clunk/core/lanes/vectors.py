@@ -325,7 +325,7 @@ def gather(typing: Any, array: Any, offsets: Any, first: Any, to: Any, row: Any)
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         places = list(_pointers(context, builder, signature.args[0], values[0], signature.args[1], *values[1:3]))
         for lane in range(0, WIDTH, ROW):
-            rows = _rows(context, builder, signature.args[3], *values[3:], lane)
+            rows = _rows(context, builder, signature.args[3], values[3], values[4], lane)
             _transfer(builder, places[lane : lane + ROW], rows)
         return context.get_dummy_value()
 
@@ -339,7 +339,7 @@ def scatter(typing: Any, of: Any, row: Any, array: Any, offsets: Any, first: Any
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         places = list(_pointers(context, builder, signature.args[2], values[2], signature.args[3], *values[3:]))
         for lane in range(0, WIDTH, ROW):
-            rows = _rows(context, builder, signature.args[0], *values[:2], lane)
+            rows = _rows(context, builder, signature.args[0], values[0], values[1], lane)
             _transfer(builder, rows, places[lane : lane + ROW])
         return context.get_dummy_value()
 
