@@ -155,3 +155,17 @@ def test_stages_and_breakpoints_are_swept():
         "[load]\non = 1\nstatic_torque = -1.0\nratio = 5.0\n[impacts]\nacceleration_of = 3\n"
     )
     assert by_degree.driveline.shafts[0].stages == pytest.approx((np.rad2deg(0.5), np.rad2deg(0.25)), rel=1e-15)
+
+
+@pytest.mark.parametrize("loose", [1, 3])
+def test_a_stage_without_stiffness_that_nothing_loads_changes_nothing_whichever_shaft_has_it(loose):
+    other = 4 - loose
+    stages = [
+        f"driveline.shafts[{loose}].stiffness=[31.3, 0.0]",
+        f"driveline.shafts[{loose}].breakpoints_deg=[60.0]",
+        f"driveline.shafts[{other}].stiffness=[10.0, 31.3]",
+        f"driveline.shafts[{other}].breakpoints_deg=[-60.0]",
+    ]
+    plain, staged = simulate(nominal(*EXACT)), simulate(nominal(*EXACT, *stages))
+    assert staged.label == plain.label
+    assert staged.events["time"] == pytest.approx(plain.events["time"], abs=1e-12)  # s, rounding

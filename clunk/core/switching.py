@@ -104,14 +104,17 @@ def breakpoint_of(system: System, regime: int, guard: int) -> float:
 
 @part
 def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> float:
-    """How far the twist of a staged shaft lies within a breakpoint, as a share of both; 0 where rounding decides."""
+    """How far the twist of a staged shaft lies within a breakpoint, as a share of both; 0 where rounding decides.
+
+    NaN where no stiffness tells the twist.
+    """
     row, value = system.guards[regime, guard], breakpoint_of(system, regime, guard)
     scale = abs(value)
     for k in range(x.size):
         term = system.functionals[0, row.functional, k] * x[k]
         value += row.sign * term
         scale += abs(term)
-    return value / scale if abs(value) > _WITHIN * scale else 0.0
+    return 0.0 if abs(value) <= _WITHIN * scale else value / scale
 
 
 @part
@@ -125,7 +128,7 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
         guard = system.guards[regime, g]
         if guard.event_kind == STAGE and guard.successor >= 0:  # what follows where a friction's ends is not known
             within = _within_stage(system, regime, g, x)
-            if within < 0.0:
+            if not within >= 0.0:
                 return False, False
             behind = system.preload[guard.successor // system.regime_strides[lashes_of(system)], 0, TORQUE]
             is_beside_loose = is_beside_loose or (within == 0.0 and np.isnan(behind))
