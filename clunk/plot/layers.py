@@ -24,7 +24,7 @@ from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 from clunk.study.records import counted
 
 MOST_LABELS = 16  # that are told apart: more are grouped by their number of double-sided impacts
-_SEEN = 5e-6  # of a map's area, some pixels: a smaller region has no name
+_SEEN = 5e-6  # of a map's area, some pixels: a smaller region has no name, a smaller island no line
 _MOST_STEPS = 40_000  # of lines between cells: more would be a veil
 _FADES = (0.5, CERTAIN), (0.8, 0.3)  # certainty of a label, and how far its colour is taken towards white
 _WHY_UNDEFINED = {
@@ -278,13 +278,20 @@ class Layers:
 
     @cached_property
     def lines(self) -> list[Floats]:
-        """Lines (n, 2) between two regions: as traced, or along the cells, if they are not too many to be seen."""
+        """Lines (n, 2) between two regions: as traced, or along the cells, if they are not too many to be seen.
+
+        None around an island too small to be seen, of which it would be all that is drawn.
+        """
         if self.boundaries is None:
             return _lines_between(self.codes, *map(cell_edges, self.view.axes))
         left, right = (self.regions_of[each] for each in (self.boundaries.curve_left, self.boundaries.curve_right))
-        ends = np.cumsum(self.boundaries.curve_counts)[:-1]
-        curves = np.split(self.boundaries.vertices[:, list(self.view.keep)], ends)
-        return [curve for curve, is_drawn in zip(curves, left != right, strict=False) if is_drawn]
+        curves = (curve.vertices for curve in self.boundaries.curves)
+        few = {tuple(at) for each in self.boundaries.regions if each.area < _SEEN for ring in each.rings for at in ring}
+        return [
+            curve[:, list(self.view.keep)]
+            for curve, is_drawn in zip(curves, left != right, strict=False)
+            if is_drawn and not (tuple(curve[0]) in few and np.array_equal(curve[0], curve[-1]))
+        ]
 
     @cached_property
     def outlines(self) -> list[tuple[int, tuple[Floats, ...]]]:
