@@ -75,8 +75,8 @@ def _length(vectors: Floats) -> Floats:
 class Triangles:
     """The triangles of a map's cells in which labels differ, and of such as get a node on an edge.
 
-    positions : (nodes, 2) float64, on each axis from 0 to 1; first those of the map, in C order
-    runs : (nodes,) POINT
+    count : number of nodes, first those of the map, in C order
+    positions, runs : (nodes or more, 2) float64, on each axis from 0 to 1, and (nodes or more,) POINT
     corners : (n, 3) nodes, anticlockwise
     is_new : (n,) whether a triangle was added since this was last cleared
     """
@@ -85,6 +85,7 @@ class Triangles:
         self.shape, outcome = runs.shape, runs["outcome"]
         self.positions: Floats = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
         self.runs: Points = runs.ravel()
+        self.count = self.runs.size
         self.corners: Nodes = np.zeros((0, 3), np.int64)
         self.is_new: Bools = np.zeros(0, bool)
         self._is_open: Bools = np.zeros((self.shape[0] - 1, self.shape[1] - 1), bool)
@@ -127,10 +128,13 @@ class Triangles:
         self._open_beside(keys)
         order = np.argsort(keys)
         middle = np.full(keys.size + 1, -1)  # the last is of edges that stay whole
-        middle[:-1] = self.runs.size + order
+        middle[:-1] = self.count + order
         keys = keys[order]
-        self.positions = np.concatenate([self.positions, positions])
-        self.runs = np.concatenate([self.runs, runs])
+        begin, self.count = self.count, self.count + keys.size
+        if self.count > len(self.runs):  # with room for more: most nodes are those of the map
+            room = self.count + begin // 8
+            self.positions, self.runs = np.resize(self.positions, (room, 2)), np.resize(self.runs, room)
+        self.positions[begin : self.count], self.runs[begin : self.count] = positions, runs
         every = keys_of(self.corners, np.roll(self.corners, -1, axis=1))
         at = np.minimum(np.searchsorted(keys, every), keys.size - 1)
         new = middle[np.where(keys[at] == every, at, -1)]  # on the edges behind each corner
@@ -168,7 +172,7 @@ class Lines:
 
     def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int = 1) -> None:
         self.triangles, self._run_points = triangles, run
-        self._most_runs, self._spent, self._rounds = most_runs(triangles.runs.size, cost), 0, 0
+        self._most_runs, self._spent, self._rounds = most_runs(triangles.count, cost), 0, 0
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self.met, self.met_labels = np.zeros((0, 2)), np.zeros((0, 3), np.int64)
         self.unresolved = np.zeros((0, 2))
@@ -251,7 +255,7 @@ class Lines:
         self._keep(keys[edges[single]], ends[begins[single]])
         left, middle = keys[edges[several]], (begins + counts // 2 - 1)[several]
         begin, rest = ends_of(left)
-        nodes = self.triangles.runs.size + np.arange(left.size)
+        nodes = self.triangles.count + np.arange(left.size)
         self.triangles.add(left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle])
         is_first, is_last = counts[several] < 4, counts[several] == 2
         self._keep(keys_of(begin, nodes)[is_first], ends[middle[is_first]])
@@ -344,7 +348,7 @@ class Lines:
 
     def _cut(self, keys: Codes, places: Floats, runs: Points) -> None:
         """Add a node on each of these edges; a known crossing is then on the part whose ends differ."""
-        nodes, (first, second) = self.triangles.runs.size + np.arange(keys.size), ends_of(keys)
+        nodes, (first, second) = self.triangles.count + np.arange(keys.size), ends_of(keys)
         self.triangles.add(keys, places, runs)
         known = np.flatnonzero(np.isin(keys, self.keys))
         brackets = self.brackets[np.searchsorted(self.keys, keys[known])]
