@@ -286,11 +286,12 @@ class Layers:
             return _lines_between(self.codes, *map(cell_edges, self.view.axes))
         left, right = (self.regions_of[each] for each in (self.boundaries.curve_left, self.boundaries.curve_right))
         curves = (curve.vertices for curve in self.boundaries.curves)
-        few = {tuple(at) for each in self.boundaries.regions if each.area < _SEEN for ring in each.rings for at in ring}
+        islands = (each.rings[0] for each in self.boundaries.regions if each.area < _SEEN and len(each.rings) == 1)
+        unseen = {tuple(at) for ring in islands for at in ring}
         return [
             curve[:, list(self.view.keep)]
             for curve, is_drawn in zip(curves, left != right, strict=False)
-            if is_drawn and not (tuple(curve[0]) in few and np.array_equal(curve[0], curve[-1]))
+            if is_drawn and not (tuple(curve[0]) in unseen and np.array_equal(curve[0], curve[-1]))
         ]
 
     @cached_property
