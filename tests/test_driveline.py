@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.starts import started
 
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
@@ -114,15 +115,9 @@ def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():
         simulate(study_from_text(reference.config_of(plant)))
 
 
-@pytest.mark.parametrize("values", [[0.0] * 7, [0.0] * 7 + [np.nan], [np.inf] + [0.0] * 7, [[0.0] * 8]])
-def test_an_initial_state_that_is_none_is_refused(nominal, values):
-    with pytest.raises(ClunkError, match="8 finite numbers"):
-        simulate(nominal, initial_state=values)
-
-
-def test_the_preload_as_initial_state_changes_nothing(nominal):
+def test_a_run_from_the_preload_is_the_run(nominal):
     whole = simulate(nominal)
-    given = simulate(nominal, initial_state=whole.states[0])
+    given = started(nominal, whole.states[0])
     assert given.initial_side == whole.initial_side
     assert np.array_equal(given.states, whole.states)
     assert given.label == whole.label
@@ -133,7 +128,7 @@ def test_a_run_can_begin_in_the_gap(nominal):
     plant = reference.Plant()
     for q in (0.01, -0.01):
         state = np.array([q, q, q, 0, 0, 0, 0, 0])
-        trajectory = simulate(nominal, initial_state=state)
+        trajectory = started(nominal, state)
         events, _ = reference.run(plant, state=state)
         assert trajectory.initial_side == np.sign(q)
         assert trajectory.kind_name(1) == "touch"

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers.general import OneLash
 from helpers.reference import Plant
+from helpers.starts import started
 from scipy.integrate import solve_ivp
 
 from clunk.core.events import REJOIN, TOUCH
@@ -72,7 +73,7 @@ class TestEnergyIsAccountedFor:
     def test_from_an_initial_state_in_the_gap(self, contact, method):
         trajectory = run(contact, method=method)
         state = np.array([0.3, 0.2, 0.01, 0.0, -3.0, 2.0, 5.0, -1.0])
-        thrown = simulate(trajectory.study, initial_state=state)
+        thrown = started(trajectory.study, state)
         assert thrown.touches > 0
         energy = balance(thrown)
         assert energy.relative_residual < CLOSED

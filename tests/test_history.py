@@ -133,17 +133,6 @@ def test_complete_run_goes_on_to_rest():
     assert sampled.angle[-1, 3] == pytest.approx(-1.0 / 31.3, rel=1e-6)
 
 
-def test_run_from_an_initial_state_has_nothing_before_its_load_step():
-    trajectory = simulate(nominal(), initial_state=[0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 1.0, 0.0])
-    sampled = sample(trajectory)
-    assert sampled.after_step[0] == 0.0
-    assert sampled.time[0] == 0.1
-    assert sampled.velocity[0].tolist() == [0.0, 0.0, 1.0, 0.0]
-    assert np.all(sampled.torque == -1.0)
-    with pytest.raises(ClunkError, match="initial state has nothing before"):
-        sample(trajectory, before=0.1)
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -152,7 +141,6 @@ def test_run_from_an_initial_state_has_nothing_before_its_load_step():
         ({"step": float("nan")}, "step must be a positive number"),
         ({"until": -0.5}, "starts at 0 s cannot end at -0.5 s"),
         ({"until": float("inf")}, "cannot end at inf"),
-        ({"before": -1.0}, "before the load step must be a number of seconds >= 0"),
         ({"step": 1e-8}, "10,000,000 is the limit"),
     ],
 )

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from helpers import general, reference
 from helpers.reference import Plant, lag, pulse, ramp, sine, smooth, step, table
+from helpers.starts import started
 from scipy.integrate import solve_ivp
 
 from clunk.simulation.history import sample
-from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 
 PROFILES = {
@@ -96,7 +96,7 @@ def test_an_inertia_on_a_shaft_moves_by_the_closed_form(name, method):
         moved = np.array([reference.run(plant, end_time, state)[1] for end_time in times]).T
     else:
         study = study_from_text(reference.config_of(plant, end_time=0.5, method=method))
-        history = sample(simulate(study, initial_state=state), step=1e-3, until=0.5)
+        history = sample(started(study, state), step=1e-3, until=0.5)
         after = history.after_step > 0.0
         times, moved = history.after_step[after], np.vstack((history.angle[after, 0], history.velocity[after, 0]))
     scales = np.array([[1.0], [55.0]])  # of the angle and the speed

@@ -163,8 +163,3 @@ def test_without_a_gap_separation_passes_straight_to_the_other_flank():
     assert np.all(kinds[separations + 1] == TOUCH)
     assert np.all(times[separations + 1] == times[separations])
     assert np.all(run.events["speed"][separations + 1] == 0.0)
-
-
-def test_an_overlap_to_begin_with_is_refused():
-    with pytest.raises(ClunkError, match="overlaps"):
-        simulate(nominal(), initial_state=[0, 0, 1.0, 0, 0, 0, 0, 0])

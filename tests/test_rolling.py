@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.starts import started
 
 from clunk.api import run_points
 from clunk.core.status import Status
@@ -133,7 +134,7 @@ def test_however_fast_it_rolls_twists_and_events_are_the_same(contact, method):
 
     def rolling_at(speed):
         driven = replace(plant, after=-3.0 + drag * 4.0 * speed)
-        run = simulate(study_of(driven, method), initial_state=rest + np.kron([0.0, speed], turns))
+        run = started(study_of(driven, method), rest + np.kron([0.0, speed], turns))
         history = sample(run, step=1e-3)
         return run, history.twist[np.searchsorted(history.after_step, np.arange(1000) * 1e-3)]
 

@@ -16,12 +16,11 @@ import numpy.typing as npt
 
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.regimes import System, alone
-from clunk.core.status import Status
 from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import apply, inputs_of, preload, regimes_of, states, stretches, with_wave
+from clunk.simulation.phases import apply, inputs_of, regimes_of, states, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Bools, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
@@ -172,10 +171,9 @@ def sample(
     trajectory: Trajectory,
     step: float | None = None,
     until: float | None = None,
-    before: float | None = None,
     name: str | None = None,
 ) -> History:
-    """The motion of a run at evenly spaced times and at its events.
+    """The motion of a run at evenly spaced times and at its events, from time 0 on.
 
     Parameters
     ----------
@@ -185,9 +183,6 @@ def sample(
     until : float, optional  [s]
         On the axis of `History.time`; by default the run's end time. A run of which it is proved that nothing follows
         may be sampled for longer than it was computed.
-    before : float, optional  [s]
-        How much of the steady motion before the load step to show; by default all from time 0. A run from an initial
-        state has none.
     name : str, optional
         For legends; by default the study's title.
 
@@ -197,28 +192,19 @@ def sample(
     """
     study, system = trajectory.study, build(trajectory.study, waves=True)
     inputs_before, load = run_load(study)
-    rest = preload(system, inputs_before) if system.status != Status.NO_EQUILIBRIUM else None
-    steady = (
-        rest is not None
-        and np.array_equal(rest.sides, trajectory.initial_sides)
-        and np.array_equal(rest.x[: 2 * system.inertias], trajectory.states[0])
-    )
     step = study.solver.step if step is None else step
     until = study.load.step_time + study.solver.end_time if until is None else until
-    if before is None:
-        before = study.load.step_time if steady else 0.0
-    begin, end = _span(trajectory, step, until, before, steady)
+    begin, end = _span(trajectory, step, until)
 
     line, motion = Driveline.from_study(study), _Motion(trajectory, system, load, inputs_before, step)
     gains = line.rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
-    phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)] if steady else []
+    phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)]
     started = int(np.searchsorted(trajectory.phases["time"], end, side="right"))
     phases += [phase for k in range(started) for phase in motion.after_event(k, end)]
     columns = zip(*(motion.observed(phase, line) for phase in phases), strict=True)
     acceleration, torque, contacts, contact_torques = (np.concatenate(column) for column in columns)
     lengths, n = [phase.time.size for phase in phases], system.inertias
-    if steady:
-        acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
+    acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
     after_step, state = (np.concatenate(parts) for parts in ([p.time for p in phases], [p.state for p in phases]))
     event = np.full(after_step.size, -1)
     event[np.cumsum([0, *lengths[:-1]])] = [phase.event for phase in phases]
@@ -330,18 +316,14 @@ class _Motion:
             event = -1
 
 
-def _span(trajectory: Trajectory, step: float, until: float, before: float, steady: bool) -> tuple[float, float]:
+def _span(trajectory: Trajectory, step: float, until: float) -> tuple[float, float]:
     """Begin and end of a history  [s after the load step]."""
     if not (np.isfinite(step) and step > 0.0):
         raise ClunkError(f"The output step must be a positive number of seconds, not {step:g}.")
-    if not (np.isfinite(before) and before >= 0.0):
-        raise ClunkError(f"The time before the load step must be a number of seconds >= 0, not {before:g}.")
-    if before > 0.0 and not steady:
-        raise ClunkError("A run from an initial state has nothing before its load step to sample.")
     step_time = trajectory.study.load.step_time
-    begin, end = -before, until - step_time
+    begin, end = -step_time, until - step_time
     if not np.isfinite(until) or end < begin:
-        raise ClunkError(f"A history that starts at {step_time + begin:g} s cannot end at {until:g} s.")
+        raise ClunkError(f"A history that starts at 0 s cannot end at {until:g} s.")
     limit = max(trajectory.end, trajectory.study.solver.end_time)
     if not trajectory.complete and end > limit * (1.0 + 1e-9):
         raise ClunkError(

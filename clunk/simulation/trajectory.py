@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, STAGE, TOUCH
@@ -14,7 +13,6 @@ from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.tables import half_gap_of
 from clunk.simulation import driveline
 from clunk.simulation.load import run_load, torque_at, wave_rates
 from clunk.study.arrays import Floats, Integers, Records
@@ -180,16 +178,13 @@ class Trajectory:
         return as_text(f"clunk.Trajectory of {self.study.title!r}", [*self.summary(), ended])
 
 
-def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Trajectory:
+def simulate(study: Study) -> Trajectory:
     """Run one load step.
 
     Parameters
     ----------
     study : Study
         Its axes, if any, are ignored.
-    initial_state : (2n,) array of float, optional  [rad, rad/s]
-        θ and θ' at the load step, instead of steady motion in contact under the torque before. The initial flank is
-        then the one that this state touches; in the gap, the nearer one.
 
     Returns
     -------
@@ -215,14 +210,13 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     >>> run.events["time"][run.primaries].round(4)  # s after the load step
     array([0.1191, 0.2613, 0.565 ])
     """
-    system, tables = driveline.prepare(study)
     before, pieces = run_load(study)
-    case = tile.Cases(before[None], pieces[None], np.zeros(1, np.int64))
-    if initial_state is not None:
-        x, regime = _started_at(system, before, np.asarray(initial_state, dtype=np.float64))
-        case = case._replace(states=x[None], regimes=np.array([regime]))
-        if system.status == Status.UNSTABLE_STEP:
-            raise ClunkError(_sentence(study, Status.UNSTABLE_STEP))
+    return run_of(study, tile.Cases(before[None], pieces[None], np.zeros(1, np.int64)))
+
+
+def run_of(study: Study, case: tile.Cases) -> Trajectory:
+    """The run of a study from the beginning that a case of one cell has."""
+    system, tables = driveline.prepare(study)
     room, lashes, status = tile.EVENTS, len(study.lashes), Status.EVENT_BUFFER_FULL
     batch, stop, size = tile.batch_of(system, tables), np.zeros(1, np.uint8), system.rates.shape[1]
     while status == Status.EVENT_BUFFER_FULL:
@@ -248,11 +242,6 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     states = output.states[0, : len(phases), : 2 * system.inertias].copy()
     events, begins, (high, low) = phases[is_event], np.flatnonzero(is_event), output.extremes[0, : len(phases)].T
     extremes = np.stack([np.maximum.reduceat(high, begins, 1), np.minimum.reduceat(low, begins, 1)]).T
-    sides = output.cells["initial_side"][0].astype(np.int64)
-    if initial_state is not None:  # in the gap, the nearer one
-        sides = np.where(
-            system.lashes[:, system.inertias : 2 * system.inertias] @ states[0, : system.inertias] >= 0.0, 1, -1
-        )
     cells, primaries_of, primaries = output.cells[0], [], np.zeros(len(events), np.int64)
     for lash, (cell, sticking_time) in enumerate(zip(cells, system.sticking_time.tolist(), strict=True)):
         impacts = find_primaries(events, len(events), lash, int(cell["initial_side"]), sticking_time, primaries)
@@ -260,7 +249,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     severities = output.impacts["severity"][:found].copy()
     return Trajectory(
         study=study,
-        initial_sides=sides,
+        initial_sides=output.cells["initial_side"][0].astype(np.int64),
         events=events,
         states=states[is_event],
         extremes=extremes,
@@ -272,20 +261,6 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         complete=bool(cells["quality"][0] & QUALITY_COMPLETE),
         end=float(output.ends[0]),
     )
-
-
-def _started_at(system: System, before: Floats, state: Floats) -> tuple[Floats, int]:
-    """The state of a run that begins at (θ, θ'), and its regime."""
-    size = 2 * system.inertias
-    if state.shape != (size,) or not np.all(np.isfinite(state)):
-        raise ClunkError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
-    gaps = system.lashes[:, system.inertias : size] @ state[: system.inertias]
-    half_gaps = before[[half_gap_of(lash) for lash in range(len(gaps))]]
-    if system.impulsive and np.any(np.abs(gaps) > half_gaps * (1.0 + 1e-12)):
-        raise ClunkError("The initial state overlaps a flank, which the restitution model does not allow.")
-    x, inputs = np.zeros(system.rates.shape[1]), np.ones(system.weights.shape[1])
-    x[:size], inputs[: before.size] = state, before
-    return x, switching.regime_of(system, x, inputs)
 
 
 def _repeating(study: Study, system: System, phases: Records) -> str:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from clunk.simulation.energy import balance
-from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from helpers import reference
 from helpers.randomplants import nudged
+from helpers.starts import started
 
 NUDGE = 1e-10
 FLOOR = 2e-11  # s, between two codes that are exact to rounding
@@ -27,7 +27,7 @@ POSITION = 2e-14  # rad, what a sum of up to eight modes of some 0.1 rad is off 
 
 def exact(plant, state=None, end_time=2.0, method="exact", step=1e-4):
     study = study_from_text(reference.config_of(plant, step=step, end_time=end_time, method=method))
-    return simulate(study, initial_state=state)
+    return started(study, state)
 
 
 def propagated(plant, state=None, end_time=2.0):
