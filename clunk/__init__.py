@@ -33,21 +33,21 @@ if TYPE_CHECKING:
     from clunk.explorer.server import explore as explore
     from clunk.plot import PlotError as PlotError
     from clunk.results.boundaries import Boundaries as Boundaries
+    from clunk.results.maps import Results as Results
+    from clunk.results.maps import ToleranceMap as ToleranceMap
     from clunk.results.netcdf import StoreError as StoreError
-    from clunk.results.regimemap import Results as Results
     from clunk.results.store import open_results as open_results
     from clunk.results.store import read_results as read_results
     from clunk.results.store import read_tolerance_map as read_tolerance_map
     from clunk.results.store import to_dataset as to_dataset
     from clunk.results.store import write_results as write_results
-    from clunk.results.tolerancemap import ToleranceMap as ToleranceMap
     from clunk.simulation.trajectory import Trajectory as Trajectory
     from clunk.simulation.trajectory import simulate as simulate
     from clunk.study.config import load_study as load_study
     from clunk.study.config import study_from_text as study_from_text
     from clunk.study.errors import ClunkError as ClunkError
     from clunk.study.errors import ClunkWarning as ClunkWarning
-    from clunk.study.problems import ConfigError as ConfigError
+    from clunk.study.errors import ConfigError as ConfigError
     from clunk.study.study import Study as Study
     from clunk.study.study import replace_values as replace_values
     from clunk.sweeping.engines import EngineError as EngineError
@@ -61,19 +61,19 @@ _HOME = {
     "ClunkError": "study.errors",
     "ClunkWarning": "study.errors",
     "Comparison": "analysis.comparison",
-    "ConfigError": "study.problems",
+    "ConfigError": "study.errors",
     "EngineError": "sweeping.engines",
     "Explorer": "explorer.server",
     "Fitted": "analysis.fitted",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
-    "Results": "results.regimemap",
+    "Results": "results.maps",
     "Runner": "sweeping.runner",
     "Sensitivity": "analysis.sobol",
     "StoreError": "results.netcdf",
     "Study": "study.study",
     "Thresholds": "analysis.thresholds",
-    "ToleranceMap": "results.tolerancemap",
+    "ToleranceMap": "results.maps",
     "Trajectory": "simulation.trajectory",
     "compare": "analysis.comparison",
     "draw": "api",

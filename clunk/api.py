@@ -15,14 +15,12 @@ import numpy.typing as npt
 from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, is_traced, with_boundaries
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.marks import thresholds_of
-from clunk.results import targets
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import AnyMap, ToleranceMap
+from clunk.results import files
+from clunk.results.maps import AnyMap, Results, ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.models import lash_position
-from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress, reporting, shown
@@ -282,7 +280,7 @@ def _run(
     """The map of a study's sweep, or the one that its file already has; addition : adds to it when it is finished."""
     path = None if output is None else Path(output)
     if path is not None:
-        targets.check(path, targets.RESULTS)
+        files.check(path, files.RESULTS)
     with sweeping.opened(path, study, restart=restart, force=force) as job:
         if job.is_complete:
             result = job.finished()

@@ -30,7 +30,7 @@ from clunk.analysis.trends import ExperimentComparison, compare_experiment
 from clunk.plot import PlotError
 from clunk.plot.comparisons import difference_map, experiment_map
 from clunk.results.labels import normalised_label
-from clunk.results.regimemap import Results
+from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
 from clunk.study.records import plain, text_of

@@ -15,7 +15,7 @@ from test_store import BACKLASH, RATIO, example
 from clunk.cli import cli
 from clunk.results import store
 from clunk.study.config import study_from_text
-from clunk.study.problems import ConfigError
+from clunk.study.errors import ConfigError
 
 
 def completed(line):

@@ -22,13 +22,11 @@ from scipy import stats
 from clunk.cli import cli
 from clunk.study.config import load_study, study_from_text
 from clunk.study.designs import design_of
-from clunk.study.errors import ClunkWarning
+from clunk.study.errors import ClunkWarning, ConfigError
 from clunk.study.keys import json_schema
 from clunk.study.loads import Load
-from clunk.study.measures import Measure
-from clunk.study.models import DrivelineConfig, Fit, FreeParameter, Impacts, Lash, Optimize, Shaft
+from clunk.study.models import DrivelineConfig, Fit, FreeParameter, Impacts, Lash, Measure, Optimize, Shaft
 from clunk.study.parameters import get_value
-from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, replace_values, to_toml
 from clunk.study.sweeps import Axis, Draw, Sampling, Sweep
 

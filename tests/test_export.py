@@ -11,8 +11,8 @@ from test_tolerances import DRIVELINE, study, tolerance
 import clunk as clunk_api
 from clunk.results import store
 from clunk.results.export import save
+from clunk.results.maps import QUANTILES
 from clunk.results.quantities import CELL_QUANTITIES
-from clunk.results.tolerancemap import QUANTILES
 from clunk.study.config import study_from_text
 
 

@@ -18,9 +18,8 @@ from clunk.api import run_points, sweep, tolerance_map
 from clunk.cli import cli
 from clunk.results.labels import flanks_of_label
 from clunk.study.config import load_study, study_from_text
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.models import Fit
-from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, to_toml
 from clunk.study.sweeps import Draw
 

@@ -12,8 +12,7 @@ from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study
-from clunk.study.errors import ClunkError
-from clunk.study.problems import ConfigError
+from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.study import replace_values
 
 METHODS = {"exact": ['solver.method="exact"'], "rk4": ['solver.method="rk4"', "solver.step=1e-4"]}

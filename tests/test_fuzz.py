@@ -20,7 +20,7 @@ from clunk.cli import main
 from clunk.core.status import Status
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
-from clunk.study.problems import ConfigError
+from clunk.study.errors import ConfigError
 from clunk.study.study import to_toml
 
 # Sizes at the edge of double precision may overflow on the way to the answer; it is the answer that counts.

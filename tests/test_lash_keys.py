@@ -6,10 +6,9 @@ import pytest
 
 import clunk
 from clunk.study.document import dotted
-from clunk.study.keys import json_schema
+from clunk.study.keys import json_schema, validated
 from clunk.study.parameters import get_value, parameters, quantity
 from clunk.study.study import content, digest, to_toml
-from clunk.study.validation import validated
 
 GEAR = """
 name = "gear"

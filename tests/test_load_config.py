@@ -9,10 +9,9 @@ from jsonschema import Draft202012Validator
 
 from clunk.simulation.load import load_step
 from clunk.study.config import load_study, study_from_text
-from clunk.study.errors import ClunkWarning
+from clunk.study.errors import ClunkWarning, ConfigError
 from clunk.study.keys import json_schema
 from clunk.study.loads import PROFILES
-from clunk.study.problems import ConfigError
 from clunk.study.study import replace_values, to_toml
 from clunk.sweeping.cells import leaves_system
 

@@ -22,8 +22,7 @@ from clunk.simulation.history import sample
 from clunk.simulation.measures import measured
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
-from clunk.study.errors import ClunkError
-from clunk.study.problems import ConfigError
+from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.study import replace_values
 
 CLOSE = 1e-8  # relative, to SciPy's DOP853 at 1e-12 a step

@@ -22,8 +22,8 @@ from clunk.plot.drawing import strip
 from clunk.plot.layers import Layers
 from clunk.plot.maps import shades_of
 from clunk.plot.style import FAILED_FILL, INK, colour_of, group_colour
+from clunk.results.maps import Results
 from clunk.results.quantities import quantity_of
-from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
 

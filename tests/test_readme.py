@@ -19,7 +19,7 @@ from clunk.core.status import Status
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, measured_quantities
 from clunk.study.document import dotted
 from clunk.study.keys import ITEM, keys
-from clunk.study.measures import OF_IMPACTS
+from clunk.study.models import OF_IMPACTS
 from clunk.study.parameters import quantity
 
 ROOT = Path(__file__).parent.parent

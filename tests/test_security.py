@@ -13,8 +13,8 @@ from clunk.cli import cli
 from clunk.cli.terminal import safe
 from clunk.results.store import write_results
 from clunk.study.config import study_from_text
+from clunk.study.errors import ConfigError
 from clunk.study.keys import keys
-from clunk.study.problems import ConfigError
 from clunk.sweeping.sweep import sweep
 
 

@@ -10,8 +10,7 @@ from clunk.core.events import STAGE
 from clunk.simulation.driveline import Driveline, steady_stages
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
-from clunk.study.errors import ClunkError
-from clunk.study.problems import ConfigError
+from clunk.study.errors import ClunkError, ConfigError
 
 CONTACTS = {
     "by gap": [],

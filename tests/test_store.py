@@ -15,8 +15,8 @@ import xarray
 
 from clunk.core.status import Status
 from clunk.results import netcdf, store
+from clunk.results.maps import Results
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
-from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
 

@@ -14,10 +14,10 @@ from clunk.plot import PlotError, save
 from clunk.plot.style import colour_of
 from clunk.results import netcdf, store
 from clunk.results.labels import excursions
+from clunk.results.maps import QUANTILES
 from clunk.results.netcdf import StoreError
 from clunk.results.quantities import quantity_of
 from clunk.results.store import read_results
-from clunk.results.tolerancemap import QUANTILES
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal

@@ -21,9 +21,8 @@ from clunk.analysis.pointruns import PointRuns
 from clunk.analysis.search import POINT
 from clunk.analysis.thresholds import thresholds
 from clunk.results.boundaries import NO_LABEL, Boundaries
+from clunk.results.maps import AnyMap, Results
 from clunk.results.quantities import LABEL, OF_RUNS
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, has_tolerances

@@ -18,9 +18,8 @@ import numpy as np
 
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.labels import FAILED_CODE
-from clunk.results.maps import at_cell, values_at
+from clunk.results.maps import Results, at_cell, values_at
 from clunk.results.quantities import IMPACT_QUANTITIES, REGIME_QUANTITIES
-from clunk.results.regimemap import Results
 from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import nominal

@@ -21,7 +21,7 @@ from clunk.analysis.fitruns import label_of, losses
 from clunk.analysis.measurements import Experiment
 from clunk.core.sequence import INITIAL
 from clunk.results.labels import flanks_of_label
-from clunk.results.regimemap import Results
+from clunk.results.maps import Results
 from clunk.study.arrays import Floats, Patterns, Positions, Records
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError

@@ -15,9 +15,8 @@ from pathlib import Path
 from clunk.results.labels import flanks_of_label, normalised_label
 from clunk.study.axes import variable_of
 from clunk.study.document import read_text
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.parameters import parameters
-from clunk.study.problems import nearest, shorten
 from clunk.study.records import counted
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"

@@ -10,8 +10,8 @@ import numpy as np
 from clunk.analysis.search import POINT, Points
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
+from clunk.results.maps import Results
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
-from clunk.results.regimemap import Results
 from clunk.study.arrays import Floats
 from clunk.study.rules import count_of_regimes
 from clunk.study.study import Study

@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 
 from clunk.core.status import Status
+from clunk.results.maps import Results
 from clunk.results.quantities import TEXT, Quantity, measuring, quantity_of
-from clunk.results.regimemap import Results
 from clunk.study.arrays import Floats, Positions
 from clunk.study.document import dotted
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
-from clunk.study.problems import ConfigError
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study
 from clunk.study.sweeps import Sweep

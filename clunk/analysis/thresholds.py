@@ -34,10 +34,9 @@ from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, drawn_numbers, has_tolerances
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value
-from clunk.study.problems import listing, nearest, shorten
 from clunk.study.records import as_text
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting

@@ -11,8 +11,7 @@ import numpy as np
 
 from clunk.analysis.measurements import Experiment, Measurement
 from clunk.results.labels import FAILED, double_sided
-from clunk.results.maps import at_cell, values_at
-from clunk.results.regimemap import Results
+from clunk.results.maps import Results, at_cell, values_at
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
 from clunk.study.records import SENTENCE, Record, tells, told

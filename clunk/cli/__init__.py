@@ -19,8 +19,7 @@ import click
 from clunk import __version__
 from clunk.cli import terminal
 from clunk.cli.options import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE
-from clunk.study.errors import ClunkError, ClunkWarning
-from clunk.study.problems import nearest
+from clunk.study.errors import ClunkError, ClunkWarning, nearest
 
 _COMMANDS = (
     *("sweep", "plot", "explore", "simulate", "modes", "info", "report", "export", "init", "help", "completion"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import terminal
-from clunk.study.problems import listing
+from clunk.study.errors import listing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

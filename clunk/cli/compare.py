@@ -33,11 +33,11 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
     from clunk.analysis.comparison import compare as compare_maps
     from clunk.analysis.measurements import is_experiment, read_experiment
     from clunk.analysis.trends import compare_experiment
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.results.store import read_results
 
     if output is not None:
-        targets.check(output, targets.PICTURES)
+        files.check(output, files.PICTURES)
     results = read_results(a)
     other = None if is_experiment(b) else read_results(b)
     if other is None or lash is not None:

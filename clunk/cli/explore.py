@@ -11,7 +11,7 @@ from clunk.cli import terminal
 from clunk.cli.options import PATH, set_option
 
 if TYPE_CHECKING:
-    from clunk.results.tolerancemap import AnyMap
+    from clunk.results.maps import AnyMap
 
 
 @click.command()

@@ -26,10 +26,10 @@ def export(file: Path, output: Path) -> None:
       clunk export results/figure_3_4.h5 map.mat
       clunk export results/smoke.h5 boundaries.geojson
     """
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.results.export import WRITERS, save
     from clunk.results.store import read_map
 
-    targets.check(output, [*WRITERS], reads=file)
+    files.check(output, [*WRITERS], reads=file)
     save(output, read_map(file))
     terminal.say_written(output)

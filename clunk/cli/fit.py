@@ -47,15 +47,15 @@ def fit(
     if tolerances is not None and fitted_config is None:
         raise click.UsageError("--tolerances goes with --write.")
     import clunk
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
     study = clunk.load_study(config, overrides)
     if picture is not None:
-        targets.check(picture, targets.PICTURES)
+        files.check(picture, files.PICTURES)
     if fitted_config is not None:
-        targets.check(fitted_config, (".toml",), reads=config)
+        files.check(fitted_config, (".toml",), reads=config)
     terminal.warn_of_coarse_step(study, study.solver.method)
     began = time.perf_counter()
     fitted = clunk.fit(study, measurements, progress=True, lash=lash, workers=workers)

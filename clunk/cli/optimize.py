@@ -41,7 +41,7 @@ def optimize(
       clunk optimize configs/car_release.toml --front severity --plot front.png
     """
     from clunk.analysis import optimisation
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.results.files import write_text
     from clunk.simulation.history import sample
     from clunk.simulation.trajectory import simulate
@@ -49,9 +49,9 @@ def optimize(
     from clunk.study.study import to_toml
 
     study = load_study(config, overrides)
-    for path, suffixes in ((output, (".toml",)), (picture, targets.PICTURES)):
+    for path, suffixes in ((output, (".toml",)), (picture, files.PICTURES)):
         if path is not None:
-            targets.check(path, suffixes, reads=config)
+            files.check(path, suffixes, reads=config)
     terminal.warn_of_coarse_step(study, study.solver.method)
     options: dict[str, Any] = {"lash": lash, "workers": workers, "progress": True}
     try:

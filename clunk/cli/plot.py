@@ -70,7 +70,7 @@ def plot(
     """
     from clunk import plot as plots
     from clunk.analysis.marks import thresholds_of
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.results.store import read_map
     from clunk.study.axes import LASH
 
@@ -78,7 +78,7 @@ def plot(
     if not base.suffix:
         base = base.with_name(base.name + ".png")
     if output is not None:
-        targets.check(base, targets.PICTURES, reads=file)
+        files.check(base, files.PICTURES, reads=file)
     results = read_map(file)
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))

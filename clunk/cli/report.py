@@ -12,7 +12,7 @@ from clunk.cli import cells, terminal
 from clunk.cli.options import PATH, at_option
 
 if TYPE_CHECKING:
-    from clunk.results.tolerancemap import AnyMap
+    from clunk.results.maps import AnyMap
 
 
 @click.command()
@@ -28,13 +28,13 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     Example: clunk report results/figure_3_4.h5 -o report.html
     """
     from clunk.plot.page import page
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.results.files import write_text
     from clunk.results.netcdf import content_digest
     from clunk.results.store import dataset_of, read_map
 
     target = output or file.with_suffix(".html")
-    targets.check(target, (".html",), reads=file)
+    files.check(target, (".html",), reads=file)
     results = part = read_map(file)
     if at:
         part = results.at(cells.nearest_values(results.axes, results.coordinates, at))

@@ -32,9 +32,9 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
     from clunk.report import reproduction
     from clunk.report.claims import claims as claims_of
     from clunk.report.evidence import Evidence, run_maps
-    from clunk.results import targets
+    from clunk.results import files
 
-    targets.check(output / "figure_3_1.png", targets.PICTURES)
+    files.check(output / "figure_3_1.png", files.PICTURES)
     evidence = Evidence(run_maps(coarsen, workers, progress=True))
     claims = claims_of(evidence)
     written = reproduction.save_all(evidence, claims, output)

@@ -49,13 +49,13 @@ def sensitivity(
           -o bars.png
     """
     from clunk.analysis import sobol
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.study.config import load_study
     from clunk.study.study import replace_values
 
     study = load_study(config, overrides)
     if output is not None:
-        targets.check(output, targets.PICTURES, reads=config)
+        files.check(output, files.PICTURES, reads=config)
     point = sobol.operating_point(replace_values(study, cells.cell_values(study, at, all_needed=False)))
     terminal.warm_up(point, "drawn")
     began = time.perf_counter()

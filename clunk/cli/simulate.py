@@ -69,7 +69,7 @@ def simulate(
       clunk simulate configs/nominal.toml --figure closeup -o chatter.png \\
           --overlay lash.contact.model=indentation,restitution
     """
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.simulation.trajectory import simulate as run
     from clunk.study.models import lash_position
 
@@ -79,7 +79,7 @@ def simulate(
         raise click.UsageError(f"--step {step:g}: must be greater than 0 (s).")
     studies = _studies_to_simulate(source, overrides, at, overlay)
     if output is not None:
-        targets.check(output, (*targets.PICTURES, ".csv"), reads=source)
+        files.check(output, (*files.PICTURES, ".csv"), reads=source)
         if output.suffix.lower() == ".csv" and len(studies) > 1:
             raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
     terminal.say_if_compiling(*(study for _, study in studies))

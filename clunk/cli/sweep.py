@@ -14,7 +14,7 @@ from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, set_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
-    from clunk.results.tolerancemap import AnyMap
+    from clunk.results.maps import AnyMap
     from clunk.study.study import Study
     from clunk.sweeping.sweep import Job
 
@@ -65,7 +65,7 @@ def sweep(
     """
     if retry_failed and force:
         raise click.UsageError("--retry-failed does not go with --force.")
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances
     from clunk.study.models import lash_position
@@ -81,7 +81,7 @@ def sweep(
     elif lash is not None:
         raise click.UsageError("--lash goes with --boundaries: a map has all lashes.")
     target = output or Path("results") / f"{config.stem}.h5"
-    targets.check(target, targets.RESULTS, reads=config)
+    files.check(target, files.RESULTS, reads=config)
     from clunk.sweeping.sweep import engine_of, opened
 
     opening = engine_of(scheduler, workers, say=terminal.complain)
@@ -125,7 +125,7 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
 def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     """Print a finished map; returns how many cells, or runs of a tolerance map, have failed."""
     from clunk.cli.textmap import is_drawable
-    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.results.maps import ToleranceMap
 
     if as_json:
         cells = {} if isinstance(result, ToleranceMap) else {"cells": job.design.cells}

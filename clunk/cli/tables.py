@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from clunk.results.boundaries import Boundaries
-    from clunk.results.tolerancemap import AnyMap
+    from clunk.results.maps import AnyMap
 
 
 def print_record(record: object) -> None:
@@ -70,7 +70,7 @@ def print_outcomes(results: AnyMap) -> None:
 
 def outcomes(results: AnyMap) -> dict[str, Any]:
     """How many cells each label has, or how likely it is, for JSON; of several lashes, by lash."""
-    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.results.maps import ToleranceMap
 
     parts = results.by_lash()
     if not isinstance(results, ToleranceMap):

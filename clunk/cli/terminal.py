@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from clunk.results.tolerancemap import AnyMap
+    from clunk.results.maps import AnyMap
     from clunk.study.study import Study
     from clunk.sweeping.sweep import Job
 

@@ -14,7 +14,7 @@ from clunk.study.axes import RUN
 from clunk.study.records import fill
 
 if TYPE_CHECKING:
-    from clunk.results.tolerancemap import AnyMap
+    from clunk.results.maps import AnyMap
     from clunk.study.axes import ResultAxis
 
 _COLUMNS, _ROWS = 64, 20  # of a map, beside the numbers of its upward axis

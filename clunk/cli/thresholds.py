@@ -96,7 +96,7 @@ def thresholds(
     """
     from clunk.analysis import thresholds as analysis
     from clunk.analysis.quantiles import check, threshold_quantiles
-    from clunk.results import targets
+    from clunk.results import files
     from clunk.results.files import write_text
     from clunk.simulation.load import load_step
     from clunk.study.config import load_study
@@ -128,9 +128,9 @@ def thresholds(
         raise click.UsageError("--draws has the thresholds themselves, not their --quantiles; give one of the two.")
     shares = quantiles or (0.5, 0.95)
     check(shares)
-    is_picture = output is not None and output.suffix.lower() in targets.PICTURES
+    is_picture = output is not None and output.suffix.lower() in files.PICTURES
     if output is not None:
-        targets.check(output, (".csv", ".json", *targets.PICTURES), reads=config)
+        files.check(output, (".csv", ".json", *files.PICTURES), reads=config)
     if is_picture:
         from clunk.plot import thresholds as plot
 

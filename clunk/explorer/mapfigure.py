@@ -17,8 +17,8 @@ from clunk.plot.layers import Layers
 from clunk.plot.maps import cell_colours, shades_of
 from clunk.plot.plane import Codes, cells_of, ruler, value_text
 from clunk.plot.style import FAILED_FILL, INK, LINE_COLOURS, bare, capital
+from clunk.results.maps import AnyMap
 from clunk.results.quantities import YES_NO
-from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
 

@@ -16,7 +16,7 @@ from html import escape
 
 from clunk.explorer.subject import Subject
 from clunk.results.files import reason
-from clunk.results.tolerancemap import AnyMap
+from clunk.results.maps import AnyMap
 from clunk.study.errors import ClunkError
 from clunk.sweeping.progress import in_notebook
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from clunk.analysis.boundaries import BoundaryError, with_boundaries
 from clunk.results.labels import FAILED
-from clunk.results.maps import parameters_of, values_at
-from clunk.results.tolerancemap import AnyMap, ToleranceMap
+from clunk.results.maps import AnyMap, ToleranceMap, parameters_of, values_at
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
 from clunk.study.axes import LASH, RUN, ResultAxis

@@ -33,8 +33,8 @@ from clunk.explorer.subject import Subject
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
 from clunk.results.labels import FAILED
+from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, TEXT, quantities_of
-from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import compiling_note, warm_up
 

@@ -15,8 +15,8 @@ from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
 from clunk.plot.style import INK, LINE_COLOURS
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.regimemap import Results
-from clunk.study.problems import shorten
+from clunk.results.maps import Results
+from clunk.study.errors import shorten
 from clunk.study.records import counted
 
 _RARE_COLOUR = "#a9adb0"

@@ -13,9 +13,8 @@ from clunk.plot.labelling import Raster, write_names
 from clunk.plot.layers import Layers, hardness
 from clunk.plot.maps import add_bar, cell_colours, facet_map, map_figure, notes_of, shades_of
 from clunk.plot.plane import USUAL, axis_label, drawn_axes, scale_axis
+from clunk.results.maps import AnyMap, Results, ToleranceMap
 from clunk.results.quantities import TEXT, quantity_of
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 

@@ -20,8 +20,8 @@ from clunk.simulation.history import History
 from clunk.simulation.load import load_step
 from clunk.simulation.small_gap import SmallGap
 from clunk.study.arrays import Floats
+from clunk.study.errors import listing
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
-from clunk.study.problems import listing
 
 Runs = Sequence[History]
 Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width

@@ -16,8 +16,8 @@ from clunk.plot.plane import Codes, View, cell_edges, cells_of, value_text
 from clunk.plot.style import FAILED_FILL, UNDEFINED, PlotError, colour_of, group_colour, shades
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
+from clunk.results.maps import CERTAIN, AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, NUMBER, TEXT, YES_NO, Quantity, quantity_of
-from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
 from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers

@@ -43,8 +43,8 @@ from clunk.plot.style import (
     symbol_text,
 )
 from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.maps import AnyMap
 from clunk.results.quantities import LABEL, NUMBER, WHOLE, YES_NO
-from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
 
 POINT = 6.5  # points, diameter of a measured point

@@ -17,8 +17,7 @@ from clunk.plot.drawing import default_quantities, draw
 from clunk.plot.maps import MOST_VALUES
 from clunk.plot.plane import drawn_axes, surplus_axes
 from clunk.plot.style import styled
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.maps import Results, ToleranceMap
 from clunk.study.records import columns_of, html_table
 
 _STYLE = """

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 import numpy as np
 
-from clunk.results.files import write_whole, writing
+from clunk.results.files import PICTURES, check, write_whole, writing
 from clunk.results.labels import double_sided
-from clunk.results.targets import PICTURES, check
 from clunk.study.errors import ClunkError
 
 if TYPE_CHECKING:

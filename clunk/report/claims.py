@@ -17,7 +17,7 @@ from clunk.analysis.marks import ridge_of
 from clunk.core.events import TOUCH
 from clunk.report.evidence import CONTACTS, NOMINAL_RATIO, RATIOS, Evidence, acceleration_range
 from clunk.results.labels import double_sided
-from clunk.results.regimemap import Results
+from clunk.results.maps import Results
 from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.load import load_step

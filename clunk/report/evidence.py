@@ -8,7 +8,7 @@ from clunk.analysis.fitted import Fitted
 from clunk.analysis.fitting import fit
 from clunk.analysis.measurements import read_experiment
 from clunk.analysis.trends import ExperimentComparison, compare_experiment
-from clunk.results.regimemap import Results
+from clunk.results.maps import Results
 from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import study_from_text

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.dataset import Variable, flags, meanings_of
 from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.netcdf import Variable, flags, meanings_of
 from clunk.study.arrays import Array, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.records import Rows, as_text, counted

@@ -15,9 +15,9 @@ import numpy as np
 from clunk.core.events import TOUCH
 from clunk.results.files import write_whole, writing
 from clunk.results.labels import FAILED
+from clunk.results.maps import AnyMap
 from clunk.results.quantities import Quantity
 from clunk.results.store import dataset_of
-from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.history import History
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Array

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -68,3 +69,25 @@ def _sync_directory(directory: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+# --- Files that a command is to write --------------------------------------------------------------------------------
+
+
+PICTURES = (".png", ".svg", ".pdf")
+RESULTS = (".h5",)
+
+
+def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
+    """Refuse a file name of another suffix, a file that is being read, a directory, and a place that takes no files.
+
+    Missing parent directories are made. Raises ClunkError.
+    """
+    if target.is_dir():
+        raise ClunkError(f"{target} is a directory; name a file in it.")
+    if target.suffix.lower() not in suffixes:
+        raise ClunkError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
+    if reads is not None and target.resolve() == reads.resolve():
+        raise ClunkError(f"{target} is what the command reads; -o must name another file.")
+    with writing(target), tempfile.TemporaryFile(dir=target.parent):
+        pass

@@ -1,4 +1,4 @@
-"""Maps over swept parameters: what regime maps and tolerance maps have in common."""
+"""Maps over swept parameters: regime maps, with the outcome of every cell, and tolerance maps, with probabilities."""
 
 from __future__ import annotations
 
@@ -12,11 +12,24 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.status import QUALITY_COMPLETE, QUALITY_MEANINGS, Status
 from clunk.results.boundaries import Boundaries
-from clunk.results.dataset import COUNTED_BY
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.quantities import Quantity
-from clunk.study.arrays import Array, Floats, Integers
+from clunk.results.netcdf import COUNTED_BY
+from clunk.results.quantities import (
+    CHATTER,
+    LABEL,
+    NOMINAL,
+    OF_RUNS,
+    REGIME_QUANTITIES,
+    TEXT,
+    TOLERANCE_QUANTITIES,
+    YES_NO,
+    Quantity,
+    measured_quantities,
+    named_numbers,
+)
+from clunk.study.arrays import Array, Bools, Floats, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.models import lash_name, lash_position
 from clunk.study.records import Rows, as_text, counted
@@ -281,3 +294,310 @@ def require_array(name: str, array: Array, shape: tuple[int, ...], dtype: type[n
     """Raise ValueError where an array has another shape or dtype."""
     if array.shape != shape or array.dtype != dtype:
         raise ValueError(f"{name} must be {np.dtype(dtype)} {shape}, not {array.dtype} {array.shape}")
+
+
+# --- Regime maps -----------------------------------------------------------------------------------------------------
+
+
+class Results(Map):
+    """A regime map: a label for each cell, its quantities and its primary impacts.
+
+    Its fields are those of `Map`. Of its arrays, those that the config asks for besides are found by `values`.
+
+    sequence : shape, codes into `labels`
+    severity : shape, Q  [rad/s²], NaN where it is not defined
+    approach_velocity : shape, V  [rad/s]
+    last_event_time : shape  [s after the load step], NaN where nothing happened
+    primary_impacts, touches : shape
+    status, quality : shape; see `clunk.core.status`
+    initial_side : shape, sign of θ_i - θ_j on the initial flank (0: none)
+    margin : shape, dimensionless: how near the run came to another label, positive for what did not happen and negative
+        for what did (see `clunk.core.exact.run`); NaN where the method knows none
+    impact_time : (N,)  [s after the load step]; cells in C order, cell k owns `primary_impacts[k]` consecutive entries
+    impact_flank : (N,), +1 opposite, -1 initial
+    impact_closing_speed : (N,)  [rad/s]
+    impact_severity : (N,) Q_i  [rad/s²]
+    """
+
+    sequence: npt.NDArray[np.int16]
+    severity: Floats
+    approach_velocity: Floats
+    last_event_time: Floats
+    primary_impacts: npt.NDArray[np.int32]
+    touches: npt.NDArray[np.int32]
+    status: npt.NDArray[np.uint8]
+    quality: npt.NDArray[np.uint8]
+    initial_side: npt.NDArray[np.int8]
+    margin: Floats
+    impact_time: Floats
+    impact_flank: npt.NDArray[np.int8]
+    impact_closing_speed: Floats
+    impact_severity: Floats
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """The quantities of these results, in the order of their file."""
+        return quantities_of_config(self.config)
+
+    @cached_property
+    def quantities_of_cells(self) -> dict[str, Quantity]:
+        """The label, numbers, and what holds or not."""
+        holding = {name: each for name, each in OF_RUNS.items() if name != NOMINAL}
+        return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
+
+    def of_labels(self, numbers: Sequence[float]) -> Floats:
+        """The number of the label of each cell; NaN where the run failed."""
+        return np.array([*numbers, np.nan], np.float64)[self.sequence]  # the code of failed cells, -1, is the last
+
+    def numbers(self, name: str) -> Floats:
+        """A quantity of cells as float64, NaN where the run failed."""
+        return np.where(self.sequence == FAILED_CODE, np.nan, self.values(name).astype(np.float64))
+
+    @property
+    def cut_off(self) -> Bools:
+        """Cells whose run ended at ``solver.end_time`` before it was proved that nothing follows, shape."""
+        return np.asarray((self.status == Status.OK) & (self.quality & QUALITY_COMPLETE == 0))
+
+    @property
+    def caveats(self) -> list[str]:
+        """Phrases on what the labels do not tell: runs that were cut off."""
+        run = self.of_lash()  # all lashes of a run end together
+        count = int(np.count_nonzero(run.cut_off))
+        cells = counted(run.sequence.size, "run")
+        return [f"{count:,} of {cells} ended at solver.end_time with more to follow"] if count else []
+
+    @property
+    def entries(self) -> dict[str, Array]:
+        """Numbers of the primary impacts."""
+        return {"impact": np.arange(1, self.max_impacts + 1, dtype=np.int32)}
+
+    @cached_property
+    def max_impacts(self) -> int:
+        """Length of the file's `impact` dimension: the most primary impacts of any cell, at least 1."""
+        return max(1, int(self.primary_impacts.max()))
+
+    @property
+    def label_map(self) -> npt.NDArray[np.str_]:
+        """Label of each cell, shape; ``failed`` where the run failed."""
+        return np.array([*self.labels, FAILED])[self.sequence]  # the code -1 is the last
+
+    def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Label, quantities and primary impacts of the cell nearest to these values, by name.
+
+        Parameters
+        ----------
+        values : by parameter, for every axis, in its unit
+
+        Returns
+        -------
+        dict
+            The value of each parameter in this cell; its `label`; each quantity of a cell, by name; the names of its
+            `status` and `quality` in the place of their codes; and each quantity of its primary impacts, in arrays.
+
+        Raises
+        ------
+        ValueError
+            Where an axis is not named, or something that is none; or a value lies beyond an axis.
+
+        Examples
+        --------
+        >>> import clunk
+        >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+        >>> cell = results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})
+        >>> cell["label"], cell["touches"], cell["quality"]
+        ('DS(1)SS(1)', 9, ['complete'])
+        >>> cell["impact_time"].round(4)  # s after the load step
+        array([0.1191, 0.2613, 0.565 ])
+        """
+        names = [axis.parameter for axis in self.axes]
+        if set(values) != set(names):
+            raise ValueError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
+        at = tuple(axis.nearest(values[axis.parameter]) for axis in self.axes)
+        number = int(np.ravel_multi_index(at, self.shape))
+        impacts = slice(*self.first_impact[number : number + 2])
+        cell: dict[str, Any] = dict(zip(names, values_at(self.axes, at), strict=True))
+        swept = values_at(self.axes, at, self.coordinates)
+        cell |= {axis.parameter: value for axis, value in zip(self.parameters, swept, strict=True)}
+        cell["label"] = [*self.labels, FAILED][self.sequence[at]]
+        cell |= {name: self.values(name)[at].item() for name, each in self.quantities.items() if not each.dimension}
+        cell["status"] = Status(cell["status"]).name.lower()
+        cell["quality"] = [name for bit, name in QUALITY_MEANINGS.items() if cell["quality"] & bit]
+        return cell | {name: self.values(name)[impacts] for name, each in self.quantities.items() if each.dimension}
+
+    def label_table(self) -> list[dict[str, str]]:
+        """See `Map.label_table`: the number of cells, and their share."""
+        cells = self.sequence.size
+        counts = self.counts().items()
+        return [{"label": label, "cells": f"{n:,}", "share": f"{n / cells:.1%}"} for label, n in counts if n]
+
+    @property
+    def facts(self) -> Rows:
+        """See `Map.facts`: the range of the severity, and how many cells have each quality."""
+        rows = []
+        if np.isfinite(self.severity).any():
+            quantity = REGIME_QUANTITIES["severity"]
+            spread = f"{np.nanmin(self.severity):.0f} to {np.nanmax(self.severity):.0f} {quantity.unit_symbol}"
+            rows.append((quantity.heading, spread))
+        counts = {name: int(np.count_nonzero(self.quality & bit)) for bit, name in QUALITY_MEANINGS.items()}
+        rows += [(name, share(count, self.sequence.size)) for name, count in counts.items() if count]
+        return rows if self.boundaries is None else [*rows, *self.boundaries.summary()]
+
+
+def quantities_of_config(config: str) -> dict[str, Quantity]:
+    """Quantities of the results of a resolved config: those that all runs have, and those that it asks for besides."""
+    tables = tables_of(config)
+    measured = measured_quantities(tables.get("impacts", {}).get("quantities", ()), tables.get("measures", ()))
+    return REGIME_QUANTITIES | measured
+
+
+# --- Tolerance maps --------------------------------------------------------------------------------------------------
+
+
+QUANTILES = (0.05, 0.5, 0.95)
+_QUANTILE_NAMES = [f"severity_{100 * level:g}" for level in QUANTILES]
+CERTAIN = 0.95  # a cell whose most likely label is less probable lies in the band between regimes
+
+
+class ToleranceMap(Map):
+    """A map whose every cell was run for the same sample of the toleranced parameters.
+
+    Its fields are those of `Map`. N is the size of the sample.
+
+    probability : shape + (labels + 1,), share of each label in the N runs of a cell, and last of the failed ones;
+        other probabilities are of the runs that did not fail
+    sequence : shape, codes of the most likely labels; of equally likely ones the first in the labels' order
+    nominal_sequence : shape, codes of the runs without tolerances
+    severity_mean : shape, mean Q of the runs that did not fail  [rad/s²]; without impacts Q is 0. NaN where it is not
+        defined
+    severity_quantiles : shape + (3,), the `QUANTILES` of the same Q, linear between order statistics (type 7 of
+        Hyndman and Fan, doi:10.2307/2684934)
+    status : shape, how the first run that failed ended (see `clunk.core.status`), 0 where none did
+    """
+
+    probability: Floats
+    sequence: npt.NDArray[np.int16]
+    nominal_sequence: npt.NDArray[np.int16]
+    severity_mean: Floats
+    severity_quantiles: Floats
+    status: npt.NDArray[np.uint8]
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """The quantities of a tolerance map, in the order of their file."""
+        return TOLERANCE_QUANTITIES
+
+    @cached_property
+    def quantities_of_cells(self) -> dict[str, Quantity]:
+        """The most likely label, probabilities of what holds for labels, and the severity's mean and quantiles."""
+        of_labels = {
+            name: each
+            for name, each in OF_RUNS.items()
+            if each.type in (TEXT, YES_NO) and name not in (CHATTER, NOMINAL)
+        }
+        quantile = replace(self.quantities["severity_quantiles"], dimension="")
+        quantiles = {
+            name: replace(quantile, name=name, words=f"{100 * level:g} % {quantile.words}")
+            for name, level in zip(_QUANTILE_NAMES, QUANTILES, strict=True)
+        }
+        mean = replace(self.quantities["severity_mean"], name="severity")
+        return {**of_labels, "severity": mean, **quantiles}
+
+    def plot_label(self, quantity: Quantity) -> str:
+        """The quantity's name beside an axis: what holds for labels has a probability."""
+        return f"Probability that {quantity.words}" if quantity.type == YES_NO else quantity.plot_label
+
+    def of_labels(self, numbers: Sequence[float]) -> Floats:
+        """Mean over the runs of each cell that did not fail: of 1 and 0 a share; NaN where all failed."""
+        return self._of_finished(self.runs[..., :FAILED_CODE] @ np.asarray(numbers, np.float64))
+
+    def _of_finished(self, runs: npt.NDArray[np.int32] | Floats) -> Floats:
+        """Numbers of runs as shares of those of their cells that did not fail."""
+        finished = self.draws - self.runs[..., FAILED_CODE]
+        shares: Floats = np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
+        return shares
+
+    def numbers(self, name: str) -> Floats:
+        """The severity's mean or one of its quantiles in each cell."""
+        if name in _QUANTILE_NAMES:
+            return np.ascontiguousarray(self.severity_quantiles[..., _QUANTILE_NAMES.index(name)])
+        return self.severity_mean
+
+    @property
+    def entries(self) -> dict[str, Array]:
+        """The labels and ``failed``, the quantiles, and numbers of the draws."""
+        draws = np.arange(1, self.draws + 1, dtype=np.int32)
+        return {"label": np.array([*self.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
+
+    @property
+    def draws(self) -> int:
+        """Size of the sample, N."""
+        return len(self.sample[0].values)
+
+    @cached_property
+    def runs(self) -> npt.NDArray[np.int32]:
+        """Of the N runs of a cell, those with each label, and last those that failed: shape + (labels + 1,)."""
+        return np.rint(self.probability * self.draws).astype(np.int32)
+
+    @property
+    def certainty(self) -> Floats:
+        """Probability of the most likely label among the runs that did not fail, shape; NaN where all failed."""
+        return self._of_finished(self.runs[..., :FAILED_CODE].max(axis=-1, initial=0))
+
+    @property
+    def caveats(self) -> list[str]:
+        """Phrases on what the probabilities do not tell: runs that failed, which they leave out."""
+        cells = self.of_lash().runs[..., FAILED_CODE]  # all lashes of a run fail together
+        if not cells.any():
+            return []
+        affected = counted(int(np.count_nonzero(cells)), "cell")
+        return [
+            f"failed: up to {cells.max() / self.draws:.2g} of the runs in {affected}; probabilities are of the others"
+        ]
+
+    @property
+    def failed(self) -> int:
+        """Number of runs that failed, of all cells."""
+        return int(self.runs[..., FAILED_CODE].sum(dtype=np.int64))
+
+    @property
+    def uncertain(self) -> int:
+        """Number of cells whose most likely label is less probable than `CERTAIN`."""
+        return int(np.count_nonzero(self.certainty < CERTAIN))
+
+    def shares(self) -> dict[str, float]:
+        """Share of each label in all runs; last that of ``failed``."""
+        total = self.runs.reshape(-1, self.runs.shape[-1]).sum(axis=0, dtype=np.int64)
+        names = (*self.labels, FAILED)
+        return {name: int(count) / int(total.sum()) for name, count in zip(names, total, strict=True)}
+
+    def label_table(self) -> list[dict[str, str]]:
+        """See `Map.label_table`: the cells in which it is the most likely one, and its share of all runs."""
+        counts = self.counts()
+        return [
+            {"label": label, "cells where it is most likely": f"{counts[label]:,}", "share of all runs": f"{part:.4%}"}
+            for label, part in self.shares().items()
+            if part
+        ]
+
+    @property
+    def facts(self) -> Rows:
+        """See `Map.facts`: how many cells are uncertain, have moved, or have runs that failed."""
+        cells = self.sequence.size
+        moved = int(np.count_nonzero(self.sequence != self.nominal_sequence))
+        rows = [
+            ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {self.draws:,} draws"),
+            ("moved", f"{share(moved, cells)}: another most likely label than without tolerances"),
+        ]
+        affected = counted(int((self.runs[..., FAILED_CODE] > 0).sum()), "cell")
+        failed = ("failed", f"{self.failed:,} of {cells * self.draws:,} runs, in {affected}")
+        return [*rows, failed] if self.failed else rows
+
+
+def most_likely(runs: npt.NDArray[np.int32]) -> npt.NDArray[np.int16]:
+    """Codes of the labels with the most runs; of several, of the first; -1 where most failed."""
+    code: npt.NDArray[np.int16] = np.argmax(runs, axis=-1).astype(np.int16)
+    code[code == runs.shape[-1] - 1] = FAILED_CODE
+    return code
+
+
+AnyMap = Results | ToleranceMap

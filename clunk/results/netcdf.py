@@ -1,4 +1,6 @@
-"""A dataset as a file, both ways: HDF5 laid out as netCDF-4, so that xarray, MATLAB and ncdump read it too.
+"""Named arrays over named dimensions, and their file both ways: HDF5 laid out as netCDF-4, for xarray, MATLAB, ncdump.
+
+Knows nothing of quantities.
 
 Nothing of a file is believed on reading: what is missing, foreign, of another version or damaged ends in a `StoreError`
 whose text is one sentence.
@@ -16,17 +18,21 @@ import io
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
-from clunk.results.dataset import COUNTED_BY, Dataset, Variable, has_entry
 from clunk.results.files import reason, write_whole, writing
 from clunk.study.arrays import Array
 from clunk.study.document import nearest_file
 from clunk.study.errors import ClunkError
+
+# Last dimension of a variable -> the variable that tells how many entries along it each cell has.
+COUNTED_BY = {"impact": "primary_impacts"}
 
 SCHEMA_VERSION = 8
 _OF_FILE = ("schema_version", "Conventions", "variables", "content_digest")  # attributes; all others are the dataset's
@@ -41,6 +47,58 @@ _COMPRESSION = {"chunks": True, "compression": "gzip", "compression_opts": 1, "s
 _SMALL = 4096  # bytes of values that would only grow by compression
 _BEST_RATIO = 1100  # of deflate, which makes at most 258 bytes of two bits: 1032
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """An array over named dimensions.
+
+    dims : their names; a variable named after its only dimension is the coordinate of that
+    values : in the shape of the dimensions; along one of `COUNTED_BY`, the entries of all cells in C order, flat
+    attributes : texts, numbers and arrays by name; `units` and `long_name` are among them
+    """
+
+    dims: tuple[str, ...]
+    values: Array
+    attributes: Mapping[str, str | Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Variables by name, those of dimensions before what lies along them, and what is said of all."""
+
+    variables: Mapping[str, Variable]
+    attributes: Mapping[str, str]
+
+    def padded(self, name: str) -> Array:
+        """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
+        variable = self.variables[name]
+        if variable.values.ndim == len(variable.dims):
+            return variable.values
+        counts, most = (self.variables[each].values for each in (COUNTED_BY[variable.dims[-1]], variable.dims[-1]))
+        is_entry = has_entry(counts, most.size)
+        padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
+        padded[is_entry] = variable.values
+        return padded
+
+
+def has_entry(counts: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.bool_]:
+    """Mask of the places of padded values that hold an entry, shape of `counts` + (most,)."""
+    return np.asarray(np.arange(most) < counts[..., None])
+
+
+def flags(meanings: Mapping[int, str], dtype: npt.DTypeLike, *, masks: bool = False) -> dict[str, str | Array]:
+    """CF's attributes on the meanings of a variable's integers or, with `masks`, of their bits; none without any."""
+    if not meanings:
+        return {}
+    words = " ".join(meanings.values())
+    return {"flag_masks" if masks else "flag_values": np.array(list(meanings), dtype), "flag_meanings": words}
+
+
+def meanings_of(variable: Variable) -> dict[int, str]:
+    """Word of each of a variable's integers, by its CF attributes. Raises KeyError, ValueError without these."""
+    codes, words = np.asarray(variable.attributes["flag_values"]), str(variable.attributes["flag_meanings"]).split()
+    return dict(zip(codes.tolist(), words, strict=True))
 
 
 class StoreError(ClunkError):

@@ -15,8 +15,7 @@ label=DS(1)SS(1)                     whether it is this one
 nominal_label                        whether it is that of the run without tolerances, see `Quantity.named`
 
 >>> import clunk
->>> from clunk.results.quantities import quantity_of
->>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+>>> >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
 >>> severity = quantity_of("severity", results)
 >>> severity.type, severity.heading_with_unit, severity.of_runs(results).max() > 2e4
 ('number', 'severity Q [rad/s²]', np.True_)
@@ -42,9 +41,8 @@ import numpy as np
 from clunk.core.status import QUALITY_MEANINGS, Status
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided, normalised_label, primary_impacts
 from clunk.study.arrays import Array
-from clunk.study.errors import ClunkError
-from clunk.study.measures import OF_IMPACTS
-from clunk.study.problems import listing, nearest, shorten
+from clunk.study.errors import ClunkError, listing, nearest, shorten
+from clunk.study.models import OF_IMPACTS
 from clunk.study.study import Study
 
 if TYPE_CHECKING:

@@ -12,12 +12,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clunk.results.boundaries import boundaries_of, variables_of
-from clunk.results.dataset import Dataset, Variable, flags, meanings_of
 from clunk.results.labels import FAILED_CODE
-from clunk.results.netcdf import StoreError, content_digest, read, refusing_damage, write
+from clunk.results.maps import AnyMap, Results, ToleranceMap, quantities_of_config
+from clunk.results.netcdf import (
+    Dataset,
+    StoreError,
+    Variable,
+    content_digest,
+    flags,
+    meanings_of,
+    read,
+    refusing_damage,
+    write,
+)
 from clunk.results.quantities import TOLERANCE_QUANTITIES
-from clunk.results.regimemap import Results, quantities_of_config
-from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Array
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 

@@ -13,8 +13,8 @@ from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats
-from clunk.study.measures import OF_IMPACTS as NAMES
-from clunk.study.measures import Measure, Part, parts_of
+from clunk.study.models import OF_IMPACTS as NAMES
+from clunk.study.models import Measure, Part, parts_of
 from clunk.study.study import Study
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from clunk.core.batches import alike
 from clunk.core.regimes import RigidMotion
 from clunk.study.arrays import Floats
-from clunk.study.problems import listing
+from clunk.study.errors import listing
 
 _FITS = 1e-9  # a twist, relative to what the joint's ends add to it, that is rounding: ratios have some digits each
 

@@ -26,15 +26,13 @@ from clunk.study.document import (
     read_text,
     value_at,
 )
-from clunk.study.doubts import doubts
-from clunk.study.errors import ClunkWarning
-from clunk.study.keys import PRESETS, key_at
+from clunk.study.errors import ClunkWarning, ConfigError, Problem, listing, nearest, report, shorten
+from clunk.study.keys import PRESETS, key_at, validated, with_tuples
 from clunk.study.loads import PROFILES, STEP_KEYS, TORQUES, read_trace, uses
 from clunk.study.parameters import Names, complaint, names_of, place_of
-from clunk.study.problems import ConfigError, Problem, listing, nearest, report, shorten
+from clunk.study.rules import doubts
 from clunk.study.study import Study
 from clunk.study.tables import Finding
-from clunk.study.validation import validated, with_tuples
 
 # Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
 _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (

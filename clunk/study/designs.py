@@ -17,12 +17,12 @@ import numpy.typing as npt
 from clunk.study.arrays import Cells, Floats
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.document import dotted
+from clunk.study.errors import Problem, report
+from clunk.study.keys import validated, with_tuples
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located, nominal_value, quantity
-from clunk.study.problems import Problem, report
 from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Draw
-from clunk.study.validation import validated, with_tuples
 
 
 @dataclass(frozen=True, eq=False)

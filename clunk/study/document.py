@@ -12,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from clunk.study.problems import ConfigError, Problem, nearest, shorten
+from clunk.study.errors import ConfigError, Problem, nearest, shorten
 
 Place = tuple[str | int, ...]
 

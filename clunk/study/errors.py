@@ -1,4 +1,13 @@
-"""The bases of every error that a user can cause, and of every warning."""
+"""The bases of every error that a user can cause and of every warning; problems of a config, and the report of all."""
+
+import difflib
+import json
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from clunk.study.records import WIDTH, counted, cut
 
 
 class ClunkError(Exception):
@@ -7,3 +16,77 @@ class ClunkError(Exception):
 
 class ClunkWarning(UserWarning):
     """A warning of what a user has probably not meant."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An error in a config: its key, its line and a message.
+
+    key : dotted key, items by number from 1; empty where the file as a whole is meant
+    line : number from 1 of the line in the file, None where there is none
+    message : what was found and what is allowed
+    override : whether the key was set on the command line
+    """
+
+    key: str
+    line: int | None
+    message: str
+    override: bool = False
+
+    def __str__(self) -> str:
+        where = f"--set {self.key}" if self.override else self.key
+        if self.line is not None:
+            where = f"line {self.line}, {where}" if where else f"line {self.line}"
+        return f"{where}: {self.message}" if where else self.message
+
+
+class ConfigError(ClunkError):
+    """A config that cannot be used; its text reports everything that is wrong with it, ready to print.
+
+    problems : tuple of Problem
+    """
+
+    def __init__(self, text: str, problems: Iterable[Problem] = ()) -> None:
+        # what came from a command line may hold bytes that no terminal can print
+        super().__init__(text.encode("utf-8", "backslashreplace").decode("utf-8"))
+        self.problems = tuple(problems)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.problems)
+
+
+def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
+    """Error that lists all of a subject's problems, in the order of their lines."""
+    ordered = sorted(problems, key=lambda p: (p.override, p.line is None, p.line or 0))
+    lines = [f"{subject} has {counted(len(ordered), 'error')}:"]
+    wrap = textwrap.TextWrapper(WIDTH, "  ", "    ", break_long_words=False, break_on_hyphens=False)
+    return ConfigError("\n".join([*lines, *(wrap.fill(str(problem)) for problem in ordered)]), ordered)
+
+
+def shorten(value: object, width: int = 40) -> str:
+    """A value as TOML writes it, cut to a width."""
+    if isinstance(value, str):
+        return json.dumps(cut(value, width), ensure_ascii=False)
+    if isinstance(value, bool):
+        text = "true" if value else "false"
+    elif isinstance(value, dict):
+        text = "a table"
+    elif isinstance(value, list | tuple) and value and all(isinstance(item, dict) for item in value):
+        text = "an array of tables"
+    elif isinstance(value, list | tuple):
+        text = "[" + ", ".join(shorten(item, width) for item in value[:width]) + "]"
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        text = "an integer beyond 64 bits"
+    else:
+        text = str(value)
+    return cut(text, width)
+
+
+def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """The known name that `name` most likely means, if any is alike enough, up to 1."""
+    return next(iter(difflib.get_close_matches(name[:100].lower(), list(known), n=1, cutoff=cutoff)), None)
+
+
+def listing(names: Sequence[str], last: str = "and") -> str:
+    """Names with commas, and a word before the last: ``a, b and c``."""
+    return f" {last} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from clunk.study.document import read_text
-from clunk.study.problems import ConfigError, shorten
+from clunk.study.errors import ConfigError, shorten
 from clunk.study.tables import Finding, Inertia, NotNegative, Positive, Quantity, Table, Text
 
 # The torques before and after the load step are given by both of the first, or by both of the second.

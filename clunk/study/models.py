@@ -5,16 +5,15 @@ validator here looks at one table; the rules that tie tables to one another are 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, Tag, model_validator
+from pydantic import AfterValidator, Field, PlainValidator, Tag, ValidationInfo, WithJsonSchema, model_validator
 
 from clunk.study.document import Place, items_of
+from clunk.study.errors import ConfigError, listing, nearest, shorten
 from clunk.study.loads import Load
-from clunk.study.measures import Measure
-from clunk.study.problems import ConfigError, listing, shorten
 from clunk.study.sweeps import Draws, Sweep
 from clunk.study.tables import (
     MOST_DRAWS,
@@ -34,8 +33,17 @@ from clunk.study.tables import (
     converted,
     is_number,
     misnamed,
+    numbered_inertia,
+    refusal,
 )
 
+OF_IMPACTS = ("impulse", "peak_torque", "energy")  # of each primary impact
+_PARTS = {  # of a driveline, that a quantity can be of
+    "acceleration": ("inertia",),
+    "twist": ("shaft", "lash"),
+    "shaft torque": ("shaft",),
+    "contact torque": ("lash",),
+}
 NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that say which runs there are, and nothing of one
 
 _Stages = Annotated[
@@ -224,6 +232,48 @@ class Impacts(Table):
     quantities: tuple[Literal["impulse", "peak_torque", "energy"], ...] = ()
 
 
+class Part(NamedTuple):
+    """An inertia, a shaft or a lash."""
+
+    element: str  # "inertia", "shaft" or "lash"
+    number: int  # from 0
+
+
+def _identifier(name: str) -> str:
+    if not (name.isascii() and name.isidentifier() and name[0] != "_"):
+        raise refusal(((), f"found {shorten(name)}; must be a letter, then letters, digits or _, as in shuffle_torque"))
+    return name
+
+
+def _numbered_part(value: Any, info: ValidationInfo) -> Any:
+    """Number of an inertia or a shaft that is given by its name; else the value, which a rule of the config judges."""
+    if info.data.get("quantity") == "acceleration":
+        return numbered_inertia(value, info)
+    if not isinstance(value, int | str) or isinstance(value, bool):
+        raise refusal(((), f"found {shorten(value)}; must be a number from 1, or a name"))
+    driveline = info.context if isinstance(info.context, Mapping) else {}
+    names = [shaft.get("name") for shaft in items_of(driveline.get("shafts")) if isinstance(shaft, dict)]
+    return names.index(value) + 1 if isinstance(value, str) and value in names else value
+
+
+class Measure(Table):
+    """An extreme of a quantity over a run, from the load step to the end time.
+
+    name : str, of the variable in results files
+    of : int or str, number from 1 or name of an inertia or a shaft, or name of a lash
+    reduce : the largest value less the smallest, or the largest magnitude
+    """
+
+    name: Annotated[Text, AfterValidator(_identifier)]
+    quantity: Literal["acceleration", "twist", "shaft torque", "contact torque"]
+    of: Annotated[
+        int | str,
+        PlainValidator(_numbered_part),
+        WithJsonSchema({"type": ["integer", "string"], "minimum": 1, "description": "a number from 1, or a name"}),
+    ]
+    reduce: Literal["peak-to-peak", "largest"]
+
+
 class Fit(Table):
     """Parameters that are fitted to measurements.
 
@@ -367,3 +417,30 @@ def lash_position(name: str | None, names: Sequence[str]) -> int:
         return int(name) - 1
     there = f"there are {listing(names)}" if len(names) > 1 else f"there is only {names[0]}"
     raise ConfigError(f"There is no lash {shorten(name)}; {there}.")
+
+
+def part_of(measure: Measure, config: Config) -> Part | str:
+    """The part of the driveline that a measure is of, or what is wrong with its name."""
+    elements = _PARTS[measure.quantity]
+    names: dict[str, Sequence[str | None]] = {
+        "inertia": config.driveline.names or (None,) * len(config.driveline.inertias),
+        "shaft": [shaft.name for shaft in config.driveline.shafts],
+        "lash": config.lash_names,
+    }
+    for element in elements:
+        if measure.of in names[element]:
+            return Part(element, names[element].index(str(measure.of)))
+    count = len(names[elements[0]])
+    if isinstance(measure.of, int) and 1 <= measure.of <= count:
+        return Part(elements[0], measure.of - 1)
+    known = [name for element in elements for name in names[element] if name is not None]
+    likely = nearest(measure.of, known) if isinstance(measure.of, str) else None
+    hint = f"did you mean {shorten(likely)}? It" if likely else "it"
+    article = "an" if elements[0] == "inertia" else "a"
+    choices = [f"the number of {article} {elements[0]}, from 1 to {count}", *map(shorten, known)]
+    return f"there is no {' or '.join(elements)} {shorten(measure.of)}; {hint} must be {listing(choices, 'or')}"
+
+
+def parts_of(config: Config) -> list[Part]:
+    """The parts of the driveline that the measures of a sound config are of."""
+    return [part for measure in config.measures if isinstance(part := part_of(measure, config), Part)]

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from clunk.study.document import Place, dotted, items_of, parse_place, value_at
+from clunk.study.errors import ConfigError, Problem, nearest, shorten
 from clunk.study.keys import ITEM, Key, key_at, keys
 from clunk.study.models import Config, lash_name
-from clunk.study.problems import ConfigError, Problem, nearest, shorten
 from clunk.study.tables import Quantity
 
 _NAMED_ITEMS = 100  # of a list, among which a misspelt parameter is looked for

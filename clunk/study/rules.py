@@ -5,23 +5,30 @@ draws, fit and optimisation give to keys, one key and two keys at a time.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from itertools import chain, combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from clunk.study.arrays import Floats
+from clunk.study.axes import variable_of
 from clunk.study.document import Place, dotted, with_value
-from clunk.study.loads import PROFILES, TORQUES, uses
-from clunk.study.measures import broken_measures
-from clunk.study.models import NOT_OF_A_RUN, Config
+from clunk.study.errors import listing, shorten
+from clunk.study.keys import validated
+from clunk.study.loads import PROFILES, TORQUES, Load, uses
+from clunk.study.models import NOT_OF_A_RUN, OF_IMPACTS, Config, Part, part_of
 from clunk.study.parameters import complaint, located, plain_number
-from clunk.study.problems import listing, shorten
 from clunk.study.sweeps import Axis, Draw
 from clunk.study.tables import Finding, allowed_inertias, misnamed
-from clunk.study.validation import validated
 
+# Names in results files, and words for what is drawn or compared, that no measure can have
+_TAKEN = {
+    *("sequence", "severity", "approach_velocity", "primary_impacts", "touches", "last_event_time", "status"),
+    *("quality", "initial_side", "margin", "impact_time", "impact_flank", "impact_closing_speed", "impact_severity"),
+    *(*OF_IMPACTS, *(f"impact_{name}" for name in OF_IMPACTS)),
+    *("regimes", "label", "double_sided", "chatter", "nominal_label", "run", "impact", "lash"),
+}
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
 MOST_REGIMES = 30_000  # of one driveline, which take some 5 s to prepare
@@ -31,7 +38,7 @@ FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing t
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; values of swept and drawn keys are only looked at where nothing is wrong."""
-    rules = (_of_a_run, _swept, _fitted, _optimised, broken_measures)
+    rules = (_of_a_run, _swept, _fitted, _optimised, _measured)
     return [finding for rule in rules for finding in rule(config)] or list(_reached(config))
 
 
@@ -170,6 +177,35 @@ def _levered(joint: Size, lever: Size) -> Size:
     """A radius or a gear ratio, squared, times a stiffness or damping, at the place of whichever is further from 1."""
     (size, at), (length, at_lever) = joint, lever
     return length**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(length)) else at_lever
+
+
+# --- Measures --------------------------------------------------------------------------------------------------------
+
+
+def _is_impulsive(part: Part, config: Config) -> bool:
+    """Whether a part is at a lash whose touches are impulses."""
+    rigid = [lash for lash in config.lashes if lash.contact.model == "restitution"]
+    if part.element == "inertia":
+        return any(part.number + 1 in lash.between for lash in rigid)
+    return part.element == "lash" and bool(rigid)
+
+
+def _measured(config: Config) -> Iterator[Finding]:
+    """Require names that differ, and parts that there are; and no acceleration that an impulse makes infinite."""
+    names = [measure.name for measure in config.measures]
+    taken = _TAKEN | {variable_of(axis.parameter) for axis in (config.sweep.axes if config.sweep is not None else ())}
+    for k, measure in enumerate(config.measures):
+        place: Place = ("measures", k)
+        if measure.name in names[:k]:
+            yield (*place, "name"), f"measure {names.index(measure.name) + 1} has the name {shorten(measure.name)} too"
+        if measure.name in taken or measure.name.startswith(("boundary", "junction", "region", "ring")):
+            yield (*place, "name"), f"results files have another variable {shorten(measure.name)}; choose another name"
+        part = part_of(measure, config)
+        if isinstance(part, str):
+            yield (*place, "of"), part
+        elif _is_impulsive(part, config) and measure.quantity != "twist":
+            text = f"under the restitution model a touch makes the {measure.quantity} infinite"
+            yield (*place, "quantity"), f"{text}; twists and shaft torques stay finite"
 
 
 # --- Swept and drawn keys --------------------------------------------------------------------------------------------
@@ -356,3 +392,67 @@ def _bounds(config: Config) -> Iterator[dict[str, Reach]]:
         for name, value in (("low", free.low), ("high", free.high)):
             at: Place = ("optimize", "parameters", k, name)
             yield {key: Reach(value, at, key) for key in free.keys}
+
+
+# --- Numbers that cannot be meant ------------------------------------------------------------------------------------
+
+
+LARGEST_RADIUS = 10.0  # m; the gears of mills and radio telescopes have some meters
+DEEPEST = 6.28  # rad, a whole turn, of flanks pressed together by the load: of gears it is some 1e-3
+LEAST_CHANGE = 0.05  # of the change of a load, that a run should see
+
+
+def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
+    """Sentences on what is odd in a config; given : keys of its load that a user has given, by name."""
+    swept = {axis.parameter for axis in (config.sweep.axes if config.sweep is not None else ())}
+    for place, lash in zip(config.lash_places, config.lashes, strict=True):
+        radius = dotted((*place, "radius"))
+        if lash.radius > LARGEST_RADIUS:
+            yield f"{radius} = {lash.radius:g} m; it is in meters, and {lash.radius / 1e3:g} if that was in mm"
+        stiffness, torque = lash.contact.stiffness, _largest_torque(config.load)
+        key = dotted((*place, "contact", "stiffness"))
+        if lash.contact.model == "restitution" or stiffness is None or {key, radius} & swept:
+            continue
+        if (overlap := torque / (lash.radius**2 * stiffness)) > DEEPEST:
+            yield (
+                f"{key} = {stiffness:g} N/m at a radius of {lash.radius:g} m: {torque:g} N m press the flanks "
+                f"{overlap:,.3g} rad into each other; gears have 1e7 to 1e9 N/m"
+            )
+    load = config.load
+    for key in sorted(given):
+        users = [shorten(name) for name in PROFILES if uses(name, key)]
+        is_default = getattr(load, key) == Load.model_fields[key].default  # as of a resolved config
+        if users and not uses(load.profile, key) and not is_default:
+            others = listing(users, "or")
+            yield f"load.{key} is given, but a load of profile {shorten(load.profile)} has none; {others} would use it"
+    times = {"load.duration", "load.time_constant", "load.times", "solver.end_time"}
+    if not times & {key.partition("[")[0] for key in swept}:
+        share = _share_of_change(load, config.solver.end_time)
+        if share < LEAST_CHANGE:
+            yield (
+                f"only {100.0 * share:.2g} % of the change of the load come before solver.end_time = "
+                f"{config.solver.end_time:g} s; times are in seconds"
+            )
+
+
+def _largest_torque(load: Load) -> float:
+    """The larger of the torques before and after, or the largest of a table  [N m]."""
+    if load.profile == "table":
+        return abs(load.scale) * max(map(abs, load.torques or (0.0,)))
+    if load.ratio is not None and load.static_torque is not None:
+        return abs(load.static_torque) * max(1.0, abs(1.0 + load.ratio))
+    return max(abs(load.initial_torque or 0.0), abs(load.final_torque or 0.0))
+
+
+def _share_of_change(load: Load, end_time: float) -> float:
+    """The share of a load's change from its first torque that comes before the end; 1 where that cannot be said."""
+    if load.profile in ("ramp", "smooth") and load.duration:
+        return min(1.0, end_time / load.duration)
+    if load.profile == "lag" and load.time_constant:
+        return -math.expm1(-end_time / load.time_constant)
+    if load.profile != "table" or not load.torques or not load.times:
+        return 1.0
+    changes = [abs(torque - load.torques[0]) for torque in load.torques]
+    within = [change for time, change in zip(load.times, changes, strict=True) if time <= end_time]
+    within.append(float(np.interp(end_time, load.times, changes)))
+    return max(within) / max(changes) if any(changes) else 1.0

@@ -10,14 +10,14 @@ import tomli_w
 
 from clunk.study.arrays import Floats
 from clunk.study.document import dotted, items_of, with_value
+from clunk.study.errors import Problem, report
+from clunk.study.keys import validated
 from clunk.study.loads import numbers
 from clunk.study.models import NOT_OF_A_RUN, Config, Contact, Lash
 from clunk.study.parameters import located, plain_number
-from clunk.study.problems import Problem, report
 from clunk.study.records import Rows, as_text, counted
 from clunk.study.rules import broken_rules
 from clunk.study.tables import Finding
-from clunk.study.validation import validated
 
 
 class Study(Config):

@@ -21,7 +21,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from clunk.study.document import Place, dotted, items_of
-from clunk.study.problems import listing, nearest, shorten
+from clunk.study.errors import listing, nearest, shorten
 
 Finding = tuple[Place, str]  # a place, and what is wrong there
 LONGEST_AXIS = 10_000_000  # values; known before any array is made

@@ -22,7 +22,7 @@ from clunk.simulation.load import WAVES, loads_of
 from clunk.study.arrays import Cells, Floats, Records
 from clunk.study.designs import Design, design_of
 from clunk.study.document import dotted
-from clunk.study.measures import OF_IMPACTS as IMPACT_MEASURES
+from clunk.study.models import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study
 from clunk.sweeping.tiles import Layout, Tile
 

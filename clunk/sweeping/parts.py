@@ -22,8 +22,7 @@ from typing import BinaryIO, Self
 from clunk.results.files import reason, write_whole
 from clunk.study.config import study_from_text
 from clunk.study.document import leaves
-from clunk.study.errors import ClunkError
-from clunk.study.problems import ConfigError, shorten
+from clunk.study.errors import ClunkError, ConfigError, shorten
 from clunk.study.study import Study, decisive_content, digest, to_toml
 from clunk.sweeping.machine import versions
 from clunk.sweeping.tiles import Tile, from_bytes, to_bytes

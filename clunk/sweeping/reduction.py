@@ -18,9 +18,8 @@ import numpy.typing as npt
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE, label_order
+from clunk.results.maps import AnyMap, Results
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Array, Bools, Cells, Records
 from clunk.study.axes import ResultAxis, lash_axis
 from clunk.study.config import study_from_text

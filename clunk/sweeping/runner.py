@@ -12,13 +12,13 @@ from operator import itemgetter
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.regimemap import Results
+from clunk.results.maps import Results
 from clunk.study.arrays import Floats
 from clunk.study.designs import Column, Design, design_of_points
 from clunk.study.document import dotted
+from clunk.study.errors import ConfigError
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
-from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import Threads, run_tiles

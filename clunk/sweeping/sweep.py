@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from clunk.core.status import Status
+from clunk.results.maps import AnyMap, Results
 from clunk.results.netcdf import StoreError
-from clunk.results.regimemap import Results
 from clunk.results.store import read_map, read_results, write_results
-from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError

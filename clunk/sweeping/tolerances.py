@@ -16,7 +16,7 @@ import numpy.typing as npt
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE, label_order
-from clunk.results.tolerancemap import QUANTILES, ToleranceMap, most_likely
+from clunk.results.maps import QUANTILES, ToleranceMap, most_likely
 from clunk.study.arrays import Cells, Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import Column, Design, design_of, drawn_numbers

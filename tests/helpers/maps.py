@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clunk.results.regimemap import Results
+from clunk.results.maps import Results
 
 
 def map_of(axes, labels, sequence, *, title="Map", config="", digest="", attributes=None, **arrays):

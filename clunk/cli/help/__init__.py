@@ -7,7 +7,7 @@ from importlib.resources import files
 
 import click
 
-from clunk.study.problems import nearest
+from clunk.study.errors import nearest
 
 
 @click.command()
