@@ -94,6 +94,44 @@ def test_random_drivelines_side_by_side_have_the_bits_that_each_has_alone(seed, 
         assert of_alone.tobytes() == events[k : k + 1, : of_alone.shape[1]].tobytes()
 
 
+MANY_FLOWS = """
+[driveline]
+inertias = [0.3, 0.006, 0.007, 1.8, 0.004, 0.007, 0.015]
+shafts = [
+    {between = [1, 2], stiffness = [840.0, 220.0, 840.0], breakpoints_deg = [-1.0, 3.0], damping = 0.1, friction = 2.0},
+    {between = [1, 5], stiffness = 770.0, damping = 0.1, friction = 2.1},
+    {between = [2, 6], stiffness = 800.0, damping = 0.04},
+    {between = [3, 7], stiffness = 240.0, damping = 0.1},
+]
+[[lash]]
+between = [2, 3]
+backlash_deg = 6.0
+radius = 0.04
+contact = {stiffness = 4.8e7, damping = 1.1e4}
+[[lash]]
+between = [3, 4]
+backlash_deg = 4.4
+radius = 0.05
+contact = {stiffness = 7.7e6, damping = 300.0}
+[load]
+initial_torque = 68.0
+final_torque = 7.0
+"""  # 48 flows of 14 states: 2.8 MB of tables
+
+
+def test_the_memory_that_many_drivelines_take_at_once_is_bounded_however_many_flows_they_have():
+    study = study_from_text(MANY_FLOWS, overrides=["solver.method='exact'"])
+    values = np.linspace(0.002, 0.01, 60)[:, None]
+    sizes = []
+    for positions, batch in batches.prepare_many(study, ["driveline.inertias[2]"], values):
+        sizes.append(positions.size)
+        assert sum(array.nbytes for array in (*batch.each, *batch.tables)) < 1e8  # bytes, of 60 it would be 1.7e8
+    assert sum(sizes) == 60
+    grid = Grid(study, design_of_points(study, {"driveline.inertias[2]": values[:, 0]}))
+    assert sum(1 for _ in grid.drivelines(values)) == len(sizes)
+    assert len(grid._kept) <= 2 * max(sizes)
+
+
 def test_of_drivelines_about_critical_damping_each_is_what_it_is_alone():
     study = study_from_text(reference.config_of(CRITICAL, method="exact"))
     dampings = np.array([0.3, 0.4, 0.5, 0.4 + 1e-12, 0.0, 3.0])

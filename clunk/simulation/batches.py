@@ -14,10 +14,12 @@ from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
 from clunk.study.document import Place
 from clunk.study.parameters import located
+from clunk.study.rules import count_of_flows
 from clunk.study.study import Study, refuse_points, replace_values
 
-_MOST = 512  # drivelines of a batch with two flows: 14 MB of tables, and each one's share in 5 ms is small
+_MOST = 512  # drivelines of a batch: of two flows 14 MB of tables, and each one's share in 5 ms is small
 _MEASURED = 128  # of those whose channels are tabulated, which take some 100 KB each
+_ENTRIES = 2**18  # of all matrices of a batch's flows, of some 250 bytes of tables each: 64 MB
 
 
 @functools.lru_cache(maxsize=4)
@@ -62,6 +64,12 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
         yield from _prepare_alike(study, parameters, places, values, np.flatnonzero(kind_of.ravel() == kind))
 
 
+def most_prepared(study: Study) -> int:
+    """Most drivelines of a batch of a study's: what they take in memory is bounded, however many flows each has."""
+    entries = count_of_flows(study) * (2 * len(study.driveline.inertias)) ** 2
+    return min(_MEASURED if study.measured else _MOST, max(1, _ENTRIES // entries))
+
+
 def _kinds(whole: bool, place: Place, values: Floats) -> Floats:
     """A number for each value of a key, the same for values that make drivelines of one kind."""
     if whole:
@@ -74,7 +82,7 @@ def _prepare_alike(
 ) -> Iterator[tuple[Positions, Batch]]:
     """Prepare drivelines of one kind, those at some positions in `values`; where they differ all the same, in parts."""
     first = replace_values(study, dict(zip(parameters, values[positions[0]].tolist(), strict=True)))
-    most = _MEASURED if study.measured else _MOST
+    most = most_prepared(study)
     while positions.size:
         part = positions[:most]
         varied = {place: values[part, k] for k, place in enumerate(places)}

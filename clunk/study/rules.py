@@ -104,10 +104,18 @@ def _lashes(config: Config) -> Iterator[Finding]:
 
 def count_of_regimes(config: Config) -> int:
     """Number of combinations of the states of lashes, staged shafts and frictions."""
+    return _combinations(config, 3)  # a lash is open or on one of two flanks, a friction sticks or slips either way
+
+
+def count_of_flows(config: Config) -> int:
+    """Number of these that differ in which springs act and which parts move together."""
+    return _combinations(config, 2)
+
+
+def _combinations(config: Config, states: int) -> int:
     shafts = config.driveline.shafts
-    # a lash is open or on one of two flanks, a friction sticks or slips in one of two directions
-    threefold = len(config.lashes) + sum(shaft.friction > 0.0 for shaft in shafts)
-    return int(3**threefold) * math.prod(len(shaft.stages) for shaft in shafts)
+    joints = len(config.lashes) + sum(shaft.friction > 0.0 for shaft in shafts)
+    return int(states**joints) * math.prod(len(shaft.stages) for shaft in shafts)
 
 
 def _regimes(config: Config) -> Iterator[Finding]:

@@ -17,7 +17,7 @@ from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.core.switching import MOST_STAGES
-from clunk.simulation.batches import prepare_many, prepare_one
+from clunk.simulation.batches import most_prepared, prepare_many, prepare_one
 from clunk.simulation.load import WAVES, loads_of
 from clunk.study.arrays import Cells, Floats, Records
 from clunk.study.designs import Design, design_of
@@ -34,7 +34,8 @@ CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 
-_KEPT = 1024  # drivelines, of about 30 KB each, and some 100 KB more where they are measured
+_KEPT = 2  # batches of drivelines
+_TILE_BATCHES = 8  # of a tile whose cells have a driveline each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
@@ -64,9 +65,11 @@ class Grid:
         self.study = study
         self.design = design or design_of(study)
         self.layout = layout_of(study)
-        self.tile_cells = min(_TILE_CELLS[study.solver.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         parameters = (each.parameter for each in self.design.columns)
         self.structural = tuple(key for key in parameters if not leaves_system(study, key))
+        self.tile_cells = min(_TILE_CELLS[study.solver.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
+        if self.structural:
+            self.tile_cells = min(self.tile_cells, _TILE_BATCHES * most_prepared(study))
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
         if shared is not None:
             self._nominal = shared
@@ -97,7 +100,7 @@ class Grid:
         return None if self.structural else self._nominal.system
 
     def drivelines(self, points: Floats) -> Iterator[_Part]:
-        """The drivelines at some values of structural parameters; some thousand are kept for later calls.
+        """The drivelines at some values of structural parameters; the latest are kept for later calls.
 
         points : (D, parameters)
 
@@ -106,8 +109,6 @@ class Grid:
         if not self.structural:
             yield self._nominal, np.zeros(1, np.int64)
             return
-        if len(self._kept) > _KEPT:
-            self._kept.clear()
         rows = [row.tobytes() for row in points]
         known = [self._kept.get(row) for row in rows]
         members: dict[int, _Part] = {}
@@ -118,6 +119,8 @@ class Grid:
         for positions, batch in prepare_many(self.study, self.structural, points[missing]):
             numbers = np.full(len(rows), -1)
             numbers[missing[positions]] = np.arange(positions.size)
+            if len(self._kept) >= _KEPT * most_prepared(self.study):
+                self._kept.clear()
             self._kept |= {rows[k]: (batch, number) for number, k in enumerate(missing[positions].tolist())}
             yield batch, numbers
 
