@@ -20,7 +20,6 @@ import numpy.typing as npt
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
-from clunk.core.extremes import NODES, integral, integral_of_square, widened
 from clunk.core.jit import compiled, part
 from clunk.core.references import put, refer, reference_at, words_of
 from clunk.core.regimes import Each, System, gap_input
@@ -37,6 +36,12 @@ IntArray = npt.NDArray[np.int64]
 _OK = int(Status.OK)
 _SMOOTH = 1e-10  # of the terms of a series: the last one over a step of which the series tells all
 _BETWEEN_TRIES = 8  # steps, at longer ones
+
+_PLACES = 16  # of a step, between which the slope of a channel is asked for its sign: some 0.09 of 1/rate apart
+_HALVINGS = 30  # of an interval with a turn: to 1e-9 of it, the value there to the square of that
+NODES = 12  # of Gauss and Legendre: exact up to degree 23, and to rounding for the square of a series over a step
+_FROM_MIDDLE, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
+_NODES = 0.5 + 0.5 * _FROM_MIDDLE  # of the interval
 
 IMPULSE, PEAK_TORQUE, ENERGY = range(3)  # of an impact, and the roots of their summed squares of a run
 OF_IMPACTS = 3
@@ -55,6 +60,7 @@ class Room(NamedTuple):
     first: IntArray  # (L + 1,)  the row of each lash's first primary impact
     row: IntArray  # (L,)  and of its last one so far, the row before that where there is none
     systems: IntArray  # (D, …)  of each driveline, see `references.put`
+    of_impacts: FloatArray  # (impacts, OF_IMPACTS)  output
 
 
 def measure_runs(
@@ -92,8 +98,9 @@ def measure_runs(
         first=np.zeros(lashes + 1, np.int64),
         row=np.zeros(lashes, np.int64),
         systems=np.empty((len(channels.rates), words_of(system)), np.int64),
+        of_impacts=of_impacts,
     )
-    _measure_runs(system, each, channels, cases, output, room, totals, of_impacts)
+    _measure_runs(system, each, channels, cases, output, room, totals)
     if system.impulsive:
         totals[..., PEAK_TORQUE] = of_impacts[..., PEAK_TORQUE] = np.nan
 
@@ -107,7 +114,6 @@ def _measure_runs(
     output: Output,
     room: Room,
     totals: FloatArray,
-    of_impacts: FloatArray,
 ) -> None:
     system, each, channels, room = refer(system), refer(each), refer(channels), refer(room)
     cases, output, first = refer(cases), refer(output), room.first
@@ -120,7 +126,7 @@ def _measure_runs(
         if output.cells[k, 0].status == _OK:
             driveline = cases.drivelines[k % cases.drivelines.size]
             of_run = reference_at(room.systems, driveline, system)
-            _measure(of_run, channels, driveline, cases, output, k, room, totals[k], of_impacts)
+            _measure(of_run, channels, driveline, cases, output, k, room, totals[k])
 
 
 @part
@@ -133,7 +139,6 @@ def _measure(
     k: int,
     room: Room,
     totals: FloatArray,
-    of_impacts: FloatArray,
 ) -> None:
     """Measure the run of cell k, of one of the drivelines."""
     size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, 0, system.lashes.shape[0]
@@ -143,8 +148,7 @@ def _measure(
         written += 1
     set_gaps(system, cases.before[k], room.inputs)
     begin_wave(system, load, 0, x)
-    for c in range(room.low.size):
-        room.low[c], room.high[c] = np.inf, -np.inf
+    room.low[:], room.high[:] = np.inf, -np.inf
     for lash in range(lashes):
         room.row[lash] = room.first[lash] - 1
     for e in range(written):
@@ -153,7 +157,7 @@ def _measure(
             x[j] = output.states[k, e, j]
         if channels.of_impacts != 0 and event.lash >= 0:
             _begin_impact(event, output.impacts, room)
-            _add_event(system, channels, driveline, event, room, of_impacts)
+            _add_event(system, channels, driveline, event, room)
         time, end = event.time, system.end_time[0]
         if e + 1 < written:
             end = events[e + 1].time
@@ -167,12 +171,12 @@ def _measure(
                 until = min(end, load[piece + 1, BEGIN])
             set_torque(system, load, piece, time, room.inputs)
             set_weighed(system, event.regime, room.inputs, room.z[size:])
-            _follow(system, channels, driveline, event.regime, until - time, room, of_impacts)
+            _follow(system, channels, driveline, event.regime, until - time, room)
             time = until
     for lash in range(lashes):
         first, last = room.first[lash], room.first[lash + 1]
         for j in range(OF_IMPACTS):
-            totals[lash, j] = root_of_squares(of_impacts[first:last, j], last - first)
+            totals[lash, j] = root_of_squares(room.of_impacts[first:last, j], last - first)
         for m in range(channels.reductions.size):
             low, high = room.low[OF_LASH * lashes + m], room.high[OF_LASH * lashes + m]
             is_swing = channels.reductions[m] == PEAK_TO_PEAK
@@ -190,9 +194,7 @@ def _begin_impact(event: Any, impacts: npt.NDArray[np.void], room: Room) -> None
 
 
 @part
-def _add_event(
-    system: System, channels: Channels, driveline: int, event: Any, room: Room, of_impacts: FloatArray
-) -> None:
+def _add_event(system: System, channels: Channels, driveline: int, event: Any, room: Room) -> None:
     """Add to the lashes' impacts what an event passes on or takes at once; an impulse passes through others."""
     lash, row, first, x = event.lash, room.row, room.first, room.z
     if system.impulsive != 0:
@@ -202,22 +204,20 @@ def _add_event(
                 after += system.lashes[lash, j] * x[j]
             for other in range(row.size):
                 if row[other] >= first[other]:
-                    of_impacts[row[other], IMPULSE] += abs(passed[other]) * abs(event.speed - after)
+                    room.of_impacts[row[other], IMPULSE] += abs(passed[other]) * abs(event.speed - after)
             if row[lash] >= first[lash]:
-                of_impacts[row[lash], ENERGY] += 0.5 * passed[lash] * (event.speed**2 - after**2)
+                room.of_impacts[row[lash], ENERGY] += 0.5 * passed[lash] * (event.speed**2 - after**2)
         return
     if event.kind in (SEPARATION, REJOIN) and row[lash] >= first[lash]:
         overlap = -room.inputs[gap_input(lash)]
         for j in range(system.inertias):
             overlap += event.side * system.lashes[lash, system.inertias + j] * x[j]
         stored = 0.5 * channels.contact_stiffness[driveline, lash] * overlap**2
-        of_impacts[row[lash], ENERGY] += stored if event.kind == SEPARATION else -stored
+        room.of_impacts[row[lash], ENERGY] += stored if event.kind == SEPARATION else -stored
 
 
 @part
-def _follow(
-    system: System, channels: Channels, driveline: int, regime: int, span: float, room: Room, of_impacts: FloatArray
-) -> None:
+def _follow(system: System, channels: Channels, driveline: int, regime: int, span: float, room: Room) -> None:
     """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
     z, lashes = room.z, system.lashes.shape[0]
     flow, level, taken, elapsed = system.regimes[regime].flow, 0, 0, 0.0
@@ -240,16 +240,16 @@ def _follow(
             contact, torque = system.contacts[regime, lash], OF_LASH * lash + CONTACT_TORQUE
             if not _bears(system, regime, lash, room):
                 continue
-            values = of_impacts[room.row[lash]]
-            damped = length * integral_of_square(room.series[OF_LASH * lash + CLOSING], share, room.nodes)
+            values = room.of_impacts[room.row[lash]]
+            damped = length * _integral_of_square(room.series[OF_LASH * lash + CLOSING], share, room.nodes)
             values[ENERGY] += channels.contact_damping[driveline, lash] * damped
-            values[IMPULSE] += contact.side * length * integral(room.series[torque], share)
-            room.low[torque], room.high[torque] = widened(
+            values[IMPULSE] += contact.side * length * _integral(room.series[torque], share)
+            room.low[torque], room.high[torque] = _widened(
                 room.series[torque], share, room.low[torque], room.high[torque]
             )
             values[PEAK_TORQUE] = room.high[torque] if contact.side > 0 else -room.low[torque]
         for c in range(OF_LASH * lashes, room.low.size):
-            room.low[c], room.high[c] = widened(room.series[c], share, room.low[c], room.high[c])
+            room.low[c], room.high[c] = _widened(room.series[c], share, room.low[c], room.high[c])
         if share < 1.0:
             _move_within(channels.rates[driveline, flow], share, room)
             break
@@ -302,9 +302,82 @@ def _move_within(rates: FloatArray, share: float, room: Room) -> None:
 @part
 def _multiply(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
     """Set `product` to vector · columns."""
-    for i in range(product.size):
-        product[i] = 0.0
+    product[:] = 0.0
     for j in range(vector.size):
         weight = vector[j]
         for i in range(product.size):
             product[i] += weight * columns[j, i]
+
+
+# --- Polynomials over an interval that begins at zero, by their coefficients, lowest order first ----------------------
+
+
+@part
+def _value_at(series: FloatArray, at: float) -> float:
+    """Value of a polynomial."""
+    value = 0.0
+    for k in range(series.size - 1, -1, -1):
+        value = value * at + series[k]
+    return value
+
+
+@part
+def _slope_at(series: FloatArray, at: float) -> float:
+    """Slope of a polynomial."""
+    slope = 0.0
+    for k in range(series.size - 1, 0, -1):
+        slope = slope * at + k * series[k]
+    return slope
+
+
+@part
+def _integral(series: FloatArray, length: float) -> float:
+    """Integral of a polynomial from 0 to `length`."""
+    total = 0.0
+    for k in range(series.size - 1, -1, -1):
+        total = (total + series[k] / (k + 1)) * length
+    return total
+
+
+@part
+def _integral_of_square(series: FloatArray, length: float, values: FloatArray) -> float:
+    """Integral of a polynomial's square from 0 to `length`; `values` (NODES,) is scratch."""
+    values[:] = 0.0
+    for k in range(series.size - 1, -1, -1):
+        for n in range(NODES):
+            values[n] = values[n] * (length * _NODES[n]) + series[k]
+    total = 0.0
+    for n in range(NODES):
+        total += _WEIGHTS[n] * values[n] ** 2
+    return 0.5 * length * total
+
+
+@part
+def _widened(series: FloatArray, length: float, low: float, high: float) -> tuple[float, float]:
+    """The range from `low` to `high`, widened by all values of a polynomial from 0 to `length`.
+
+    Turns are where the slope changes its sign from one of _PLACES to the next; of two between the same ones, which are
+    nearly as high as these, nothing is known.
+    """
+    reach, power = 0.0, 1.0
+    for k in range(1, series.size):
+        power *= length
+        reach += abs(series[k]) * power
+    if low <= series[0] - reach and series[0] + reach <= high:
+        return low, high
+    end, slope = _value_at(series, length), series[1]
+    low, high = min(low, series[0], end), max(high, series[0], end)
+    for n in range(_PLACES):
+        first, last = n * length / _PLACES, (n + 1) * length / _PLACES
+        following = _slope_at(series, last)
+        if (slope > 0.0) != (following > 0.0):
+            for _ in range(_HALVINGS):
+                at = 0.5 * (first + last)
+                if (_slope_at(series, at) > 0.0) == (slope > 0.0):
+                    first = at
+                else:
+                    last = at
+            turn = _value_at(series, first)
+            low, high = min(low, turn), max(high, turn)
+        slope = following
+    return low, high

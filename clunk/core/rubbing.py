@@ -138,9 +138,7 @@ def _holds(
             holds = holds and _misfit_of_flanks(system, regime, resting_on, lash, time, x, inputs) <= _WITHIN
     for k in range(frictions_of(system)):
         if state_of_friction(system, regime, k) == STICKS:
-            torque, size = holding(system, regime, rate_of_friction(system, k) + HOLDING, x, inputs)
-            most = system.friction_torques[k]
-            holds = holds and abs(torque) - most <= _WITHIN * (size + most)
+            holds = holds and _misfit(system, regime, k, x, inputs) <= _WITHIN
     return holds
 
 
@@ -250,12 +248,21 @@ def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: F
 @part
 def holding(system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
     """A torque that holds a friction or flanks in a regime, and the sum of its terms' magnitudes  [N m]."""
-    flow, value, size = system.regimes[regime].flow, 0.0, 0.0
+    flow = system.regimes[regime].flow
+    return _total(system, regime, system.functionals[flow, functional], system.feedthrough[flow, functional], x, inputs)
+
+
+@part
+def _total(
+    system: System, regime: int, by_state: FloatArray, by_inputs: FloatArray, x: FloatArray, inputs: FloatArray
+) -> tuple[float, float]:
+    """What a state, and the inputs by their weights in a regime, amount to; and the sum of its terms' magnitudes."""
+    value, size = 0.0, 0.0
     for k in range(x.size):
-        term = system.functionals[flow, functional, k] * x[k]
+        term = by_state[k] * x[k]
         value, size = value + term, size + abs(term)
     for k in range(inputs_of(system)):
-        term = system.feedthrough[flow, functional, k] * (system.weights[regime, k] * inputs[k])
+        term = by_inputs[k] * (system.weights[regime, k] * inputs[k])
         value, size = value + term, size + abs(term)
     return value, size
 
@@ -287,14 +294,8 @@ def change_of(
 @part
 def _change(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
     """The rate of change of state `k` in a regime, and the sum of its terms' magnitudes."""
-    flow, value, size = system.regimes[regime].flow, 0.0, 0.0
-    for j in range(x.size):
-        term = system.rates[flow, k, j] * x[j]
-        value, size = value + term, size + abs(term)
-    for j in range(inputs_of(system)):
-        term = system.inputs[flow, k, j] * (system.weights[regime, j] * inputs[j])
-        value, size = value + term, size + abs(term)
-    return value, size
+    flow = system.regimes[regime].flow
+    return _total(system, regime, system.rates[flow, k], system.inputs[flow, k], x, inputs)
 
 
 @part

@@ -1,4 +1,4 @@
-"""What happens at the ends of a run and at its events: preload, the regime a state is in, and switching to the next.
+"""What happens at the ends of a run and at its events: preload, and switching from one regime to the next.
 
 Detection is not here: whoever flows through a regime says which guard turned negative, and where.
 """
@@ -13,13 +13,7 @@ from clunk.core.references import refer
 from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of, turn_back
 from clunk.core.runs import Entry, Log, Start, begin_wave, record, set_gaps, set_torque
 from clunk.core.status import Status
-from clunk.core.tables import (
-    BEYOND,
-    GAP,
-    INPUTS,
-    OPEN,
-    TORQUE,
-)
+from clunk.core.tables import BEYOND, INPUTS, OPEN, TORQUE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -133,45 +127,6 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
             behind = system.preload[guard.successor // system.regime_strides[lashes_of(system)], 0, TORQUE]
             is_beside_loose = is_beside_loose or (within == 0.0 and np.isnan(behind))
     return True, is_beside_loose
-
-
-@compiled
-def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
-    """The regime of a state: of each lash the first flank whose overlap and guards are not negative, else it is open.
-
-    In the restitution model they are open; flanks that rest on each other lock by a touch at rest.
-    """
-    system = refer(system)
-    lashes, first = lashes_of(system), 0
-    last = (system.preload.shape[0] - 1) * system.regime_strides[lashes]
-    while first < last and not _is_in_stage(system, first, x)[0]:
-        first += system.regime_strides[lashes]
-    first = rubbing.in_motion(system, first, 0.0, x)
-    if system.impulsive != 0:
-        return first + OPEN
-    chosen = first
-    for lash in range(lashes):
-        for regime in range(first, first + system.regime_strides[lash + 1], system.regime_strides[lash]):
-            side = system.contacts[regime, lash].side
-            overlap = side * _functional(system, 0, lash * system.functionals_per_lash + GAP, x)
-            inside = side != 0 and overlap >= inputs[gap_input(lash)]
-            for g in range(system.regimes[regime].guards):
-                guard = system.guards[regime, g]
-                value = guard.sign * _functional(system, system.regimes[regime].flow, guard.functional, x)
-                within = value + weigh(system.offsets[regime, g], inputs, inputs_of(system)) >= 0.0
-                inside = inside and (within or guard.lash != lash)
-            if inside:
-                chosen += regime - first
-                break
-    return chosen
-
-
-@part
-def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
-    value = 0.0
-    for k in range(x.size):
-        value += system.functionals[flow, which, k] * x[k]
-    return value
 
 
 @inlined_part

@@ -26,9 +26,10 @@ from clunk.core.references import refer
 from clunk.core.regimes import Each, System, alone, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
+from clunk.core.rk4.step import Room, make_room
 from clunk.core.runs import Log, Outcome, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
-from clunk.core.severity import approach_velocity, peak_to_peak
+from clunk.core.severity import window_extremes
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
 from clunk.core.tables import INPUTS, TORQUE, half_gap_of
 
@@ -76,7 +77,7 @@ class Cases(NamedTuple):
     before: FloatArray  # (cells, INPUTS + L - 1)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (cells or 1, P, PIECE)  after it
     drivelines: IntArray  # (cells or 1,)  which of a batch
-    # where that is not steady motion in contact: the state at the load step, rk4 overwrites it by the one at the end
+    # where that is not steady motion in contact: the state at the load step
     states: FloatArray = np.zeros((0, 0))  # (cells or 0, N)  [rad, rad/s]
     regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  in which it is
 
@@ -105,12 +106,10 @@ class Output(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Room for a run's state, and for the primary impacts of a lash in it: their events, Q_i and closing speeds."""
+    """Room for a run's state, and for the events of the primary impacts of a lash in it."""
 
     x: FloatArray  # (N,)  [rad, rad/s]
     primaries: IntArray
-    severity: FloatArray
-    speeds: FloatArray
 
 
 def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray) -> Cases:
@@ -180,14 +179,13 @@ def run_tile(
     system, each, tables, _ = batch
     size, cells = system.lashes.shape[1], len(output.cells)
     capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (max_events + 1, 0)
-    primaries = np.empty(max_events + 1, np.int64)
-    scratch = _Scratch(np.empty(size), primaries, np.empty(max_events + 1), np.empty(max_events + 1))
+    scratch = _Scratch(np.empty(size), np.empty(max_events + 1, np.int64))
     if not isinstance(tables, Flows):
         lashes = len(system.lashes)
         log = Log(
             np.empty(capacity, EVENT), np.empty((capacity, lashes, 2)), np.empty(lashes), np.empty((states, size))
         )
-        room = rk4.make_room(system, tables, capacity)
+        room = make_room(system, tables, capacity)
         return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, scratch, stop)
     # of several lashes there are more queues: enough runs that each may have as many as there are lanes
     several = len(system.regime_strides) > 2
@@ -214,7 +212,7 @@ def by_rk4(
     max_events: int,
     output: Output,
     log: Log,
-    room: rk4.Room,
+    room: Room,
     scratch: _Scratch,
     stop: npt.NDArray[np.uint8],
 ) -> tuple[int, int]:
@@ -232,9 +230,6 @@ def by_rk4(
         outcome = rk4.run(system, steps, start, log, room, stop)
         if outcome.status == INTERRUPTED:
             return k, written
-        if cases.regimes.size > 0:
-            for j in range(x.size):
-                cases.states[k, j] = x[j]
         _copy_log(log, outcome.written, outcome.end, output, k)
         written += _describe(system, undecided, outcome, log, max_events, cells[k], scratch, output.impacts, written)
     return cells.shape[0], written
@@ -372,18 +367,11 @@ def _describe(
     if status != _OK:
         return 0
     for lash in range(lashes_of(system)):
-        cell, events = cells[lash], log.events
-        primaries, severity, speeds = scratch.primaries, scratch.severity, scratch.speeds
+        cell, events, primaries = cells[lash], log.events, scratch.primaries
         cell.margin = log.margins[lash]
         cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)
         side, sticking_time = int(cell.initial_side), system.sticking_time[lash]
         count = find_primaries(events, outcome.written, lash, side, sticking_time, primaries)
-        cell.severity = peak_to_peak(log.extremes[:, lash], outcome.written, primaries, count, severity)
-        if system.impulsive != 0:  # the acceleration of an impulsive touch is not a number
-            cell.severity = np.nan
-            for i in range(count):
-                severity[i] = np.nan
-        cell.approach_velocity = approach_velocity(events, primaries, count, speeds)
         cell.pattern = np.uint64(1) if count <= LONGEST_PATTERN else np.uint64(0)
         cell.primary_impacts = count
         for i in range(1, outcome.written):
@@ -391,13 +379,22 @@ def _describe(
                 cell.last_event_time = events[i].time
                 if events[i].kind == TOUCH:
                     cell.touches += 1
-        for i in range(count if count <= LONGEST_PATTERN else 0):
-            cell.pattern = np.uint64(2) * cell.pattern + np.uint64(events[primaries[i]].side != side)
-        for i in range(min(count, impacts.size - first - total)):
-            event, impact = events[primaries[i]], impacts[first + total + i]
-            impact.time = event.time
-            impact.closing_speed = speeds[i]
-            impact.severity = severity[i]
-            impact.flank = INITIAL if event.side == side else OPPOSITE
+        severities, speeds = 0.0, 0.0  # sums of squares
+        for i in range(count):
+            event, end = events[primaries[i]], primaries[i + 1] if i + 1 < count else outcome.written
+            if count <= LONGEST_PATTERN:
+                cell.pattern = np.uint64(2) * cell.pattern + np.uint64(event.side != side)
+            largest, smallest = window_extremes(log.extremes[:, lash], primaries[i], end)
+            # the acceleration of an impulsive touch is not a number
+            severity = largest - smallest if system.impulsive == 0 else np.nan
+            severities, speeds = severities + severity**2, speeds + event.speed**2
+            if first + total + i < impacts.size:
+                impact = impacts[first + total + i]
+                impact.time = event.time
+                impact.closing_speed = abs(event.speed)
+                impact.severity = severity
+                impact.flank = INITIAL if event.side == side else OPPOSITE
+        cell.severity = np.sqrt(severities) if system.impulsive == 0 else np.nan
+        cell.approach_velocity = np.sqrt(speeds)
         total += count
     return total

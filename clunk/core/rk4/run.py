@@ -18,7 +18,7 @@ from clunk.core.regimes import System, elements_of, frictions_of, lashes_of, tak
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
-from clunk.core.rk4.step import Phase, enter, expand, finish, first_event, make_phase, widen_extremes
+from clunk.core.rk4.step import Room, enter, expand, finish, first_event, widen_extremes
 from clunk.core.runs import (
     BEGIN,
     Entry,
@@ -56,19 +56,6 @@ class _Grid(NamedTuple):
     last: int  # steps, that one included
 
 
-class Room(NamedTuple):
-    """Room for a run: for its phases, and for what full steps are taken by in the flow of a phase."""
-
-    phase: Phase
-    inputs: FloatArray  # (I,)  d of the run
-    fastest: FloatArray  # (L,)  rad/s, of the touches of each lash so far
-
-    affine: FloatArray  # what the inputs add to a step
-    block_affine: FloatArray  # and to a block of them
-    z: FloatArray  # the state, padded, and its outputs
-    after: FloatArray  # the same after a step or a block
-
-
 @part
 def _unknown(value: int) -> int:
     """An integer that numba does not know: for a known one it would compile again what that is passed to."""
@@ -90,14 +77,9 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     stop : (1,) uint8
         Set to non-zero from another thread to abandon the run.
     """
-    x, phase, load = start.x, room.phase, start.loads[start.load]
-    inputs, fastest = room.inputs, room.fastest
-    for k in range(inputs.size):
-        inputs[k] = 1.0
-    for lash in range(lashes_of(system)):
-        fastest[lash], log.margins[lash] = 0.0, np.nan
-    for k in range(room.z.size):
-        room.z[k] = 0.0  # a run before may have left what is not a number where nothing is written
+    x, inputs, load = start.x, room.inputs, start.loads[start.load]
+    inputs[:], room.fastest[:], log.margins[:] = 1.0, 0.0, np.nan
+    room.z[:] = 0.0  # a run before may have left what is not a number where nothing is written
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     piece, written = piece_at(load, 0, 0.0), entry.written
     rolled = begin_run(system, start, piece, inputs, log)
@@ -107,16 +89,16 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         entry = after_rubbing(system, entry, begin + index * grid.step + offset, x, inputs, log)
         roll_states(system, rolled, log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
-        enter(phase, system, entry.regime, inputs)
-        _combine(steps.transfer_input[flow], phase.inputs, room.affine)
-        _combine(steps.block_input[flow], phase.inputs, room.block_affine)
+        enter(room, system, entry.regime)
+        _combine(steps.transfer_input[flow], room.weighed, room.affine)
+        _combine(steps.block_input[flow], room.weighed, room.block_affine)
         extremes = log.extremes[entry.written - 1]
         while True:
             length, spanned = _next_length(grid, index, offset)
-            expand(system, flow, x, phase)
-            s, guard = first_event(system, entry.regime, phase, max(length, 0.0), zero_guard, entry.zero_order)
-            widen_extremes(system, flow, phase, s, extremes)
-            if not finish(phase, s, x):
+            expand(system, flow, x, room)
+            s, guard = first_event(system, entry.regime, room, max(length, 0.0), zero_guard, entry.zero_order)
+            widen_extremes(system, flow, room, s, extremes)
+            if not finish(room, s, x):
                 return Outcome(_NON_FINITE, entry.written, 0, begin + index * grid.step + offset)
             rolled += turn_back(system, x)
             if guard >= 0:
@@ -128,19 +110,19 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             for k in range(x.size):
                 room.z[k] = x[k]
             outputs = room.z[steps.transfer.shape[1] :][: steps.observe.shape[2]]
-            _combine(steps.observe_input[flow], phase.inputs, outputs)
+            _combine(steps.observe_input[flow], room.weighed, outputs)
             _add(steps.observe[flow], x, outputs)
             clear, over = True, False
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
-                taken = _coast(system, steps, entry.regime, phase, room, budget, extremes)
+                taken = _coast(system, steps, entry.regime, room, budget, extremes)
                 rolled += take_rolling(system, room.z)
                 index += taken
                 clear = taken == budget
                 if stop[0] != 0:
                     return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
-                    over = settled(system, steps, entry.regime, start.regime, phase, room.z, log, entry.written)
+                    over = settled(system, steps, entry.regime, start.regime, room, room.z, log, entry.written)
             for k in range(x.size):
                 x[k] = room.z[k]
             if over:
@@ -164,9 +146,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         if not room_for_a_switch(system, inputs, log, written):
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if elements_of(system) > 1 and time - log.events[written - 1].time < INSTANT:
-            for lash in range(lashes_of(system)):
-                extremes[lash, 0], extremes[lash, 1] = -np.inf, np.inf
-        entry = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
+            extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
+        entry = switch(system, entry.regime, guard, time, x, inputs, log, written, room.fastest)
         stages += entry.written == written
         if stages > MOST_STAGES:
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
@@ -197,25 +178,10 @@ def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
     return length, 1
 
 
-def make_room(system: System, steps: Steps, capacity: int) -> Room:
-    """Room for runs of up to `capacity` events."""
-    width, of_block, driven = steps.transfer.shape[2], steps.block.shape[2], system.weights.shape[1]
-    return Room(
-        phase=make_phase(system, capacity),
-        inputs=np.ones(driven),
-        fastest=np.zeros(len(system.lashes)),
-        affine=np.empty(width),
-        block_affine=np.empty(of_block),
-        z=np.zeros(width),
-        after=np.zeros(of_block),
-    )
-
-
 @part
 def _combine(weights: FloatArray, numbers: FloatArray, out: FloatArray) -> None:
     """out = weightsᵀ numbers."""
-    for r in range(out.size):
-        out[r] = 0.0
+    out[:] = 0.0
     _add(weights, numbers, out)
 
 
@@ -249,9 +215,7 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
 
 
 @part
-def _coast(
-    system: System, steps: Steps, regime: int, phase: Phase, room: Room, budget: int, extremes: FloatArray
-) -> int:
+def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, extremes: FloatArray) -> int:
     """Take up to `budget` full steps, and return how many: it stops before one in which a guard might turn negative.
 
     On a step, a guard is at least the smaller of its end values less its bend (see `propagator.BEND`); the same bounds
@@ -268,7 +232,7 @@ def _coast(
         singly = 1
         if taken + BLOCK <= budget:
             _advance(block, room.block_affine, z, after)
-            if _clears(phase, row.guards, columns, outputs, z, after, BLOCK):
+            if _clears(room, row.guards, columns, outputs, z, after, BLOCK):
                 for lash in range(lashes):
                     at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
                     _watch_block(z, after, at, outputs, extremes[lash])
@@ -282,7 +246,7 @@ def _coast(
             singly = BLOCK
         for _ in range(singly):
             _advance(transfer, room.affine, z, after)
-            if not _clears(phase, row.guards, columns, outputs, z, after, 1):
+            if not _clears(room, row.guards, columns, outputs, z, after, 1):
                 return taken
             for lash in range(lashes):
                 at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
@@ -294,12 +258,10 @@ def _coast(
 
 
 @inlined_part
-def _clears(
-    phase: Phase, guards: int, columns: int, outputs: int, z: FloatArray, after: FloatArray, steps: int
-) -> bool:
+def _clears(room: Room, guards: int, columns: int, outputs: int, z: FloatArray, after: FloatArray, steps: int) -> bool:
     """Whether no guard can turn negative in the steps from `z` to `after`; not where one is not a number."""
     for g in range(guards):
-        at, sign, shift = columns + phase.at[g], phase.sign[g], phase.shift[g]
+        at, sign, shift = columns + room.at[g], room.sign[g], room.shift[g]
         low, bend = np.inf, _bend(z, at)
         for k in range(steps):
             low = min(low, sign * after[at + k * outputs] + shift)

@@ -6,7 +6,7 @@ import numpy.typing as npt
 from clunk.core.jit import part
 from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4.propagator import Steps
-from clunk.core.rk4.step import Phase
+from clunk.core.rk4.step import Room
 from clunk.core.runs import Log
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import window_extremes
@@ -22,7 +22,7 @@ def settled(
     steps: Steps,
     regime: int,
     first_regime: int,
-    phase: Phase,
+    room: Room,
     x: FloatArray,
     log: Log,
     count: int,
@@ -34,12 +34,12 @@ def settled(
     flow = system.regimes[regime].flow
     if steps.provable[flow] == 0:
         return False
-    reach, primaries = phase.reach, phase.primaries
-    _reach(steps, flow, phase, x, reach)
+    reach, primaries = room.reach, room.primaries
+    _reach(steps, flow, room, x, reach)
     for guard in range(system.regimes[regime].guards):
         functional = system.guards[regime, guard].functional
-        at_rest = phase.sign[guard] * weigh(steps.rest_functional[flow, functional], phase.inputs, phase.inputs.size)
-        if not at_rest + phase.shift[guard] > (1.0 + 1e-9) * reach[functional]:
+        at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed, room.weighed.size)
+        if not at_rest + room.shift[guard] > (1.0 + 1e-9) * reach[functional]:
             return False
     if system.impulsive != 0:  # nothing is asked of the acceleration
         return True
@@ -49,7 +49,7 @@ def settled(
         if impacts > 0:  # else nothing is asked of the acceleration either
             largest, smallest = window_extremes(log.extremes[:, lash], primaries[impacts - 1], count)
             acceleration = lash * system.functionals_per_lash + ACCELERATION
-            at_rest = weigh(steps.rest_functional[flow, acceleration], phase.inputs, phase.inputs.size)
+            at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed, room.weighed.size)
             swing = (1.0 + 1e-9) * reach[acceleration]
             if not (largest >= at_rest + swing and smallest <= at_rest - swing):
                 return False
@@ -57,11 +57,10 @@ def settled(
 
 
 @part
-def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray, reach: FloatArray) -> None:
+def _reach(steps: Steps, flow: int, room: Room, x: FloatArray, reach: FloatArray) -> None:
     """How far each functional can get from its rest value from now on, into `reach`: its modes' amplitudes, summed."""
     size, watched = steps.mode_reach.shape[2], steps.mode_reach.shape[1]
-    for functional in range(watched):
-        reach[functional] = 0.0
+    reach[:] = 0.0
     for mode in range(size):
         widest = 0.0
         for functional in range(watched):
@@ -71,8 +70,8 @@ def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray, reach: FloatArr
         real, imaginary = 0.0, 0.0
         for k in range(size):
             away = x[k]
-            for j in range(phase.inputs.size):
-                away -= steps.rest_state[flow, k, j] * phase.inputs[j]
+            for j in range(room.weighed.size):
+                away -= steps.rest_state[flow, k, j] * room.weighed[j]
             real += steps.mode_rows[flow, 0, mode, k] * away
             imaginary += steps.mode_rows[flow, 1, mode, k] * away
         amplitude = np.sqrt(real * real + imaginary * imaginary)

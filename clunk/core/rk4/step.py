@@ -12,54 +12,69 @@ from clunk.core.events import INSTANT
 from clunk.core.jit import part
 from clunk.core.regimes import ROUNDING, System, elements_of, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
+from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import set_weighed, weigh
 from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
 
 
-class Phase(NamedTuple):
-    """A run between two events: what its regime makes of the inputs and the guards, and a step's expansion."""
+class Room(NamedTuple):
+    """Room for a run: for the phase between two events that it is in, and for what full steps are taken by in that."""
 
-    inputs: FloatArray  # (I,)  u of the regime
+    inputs: FloatArray  # (I,)  d of the run
+    fastest: FloatArray  # (L,)  rad/s, of the touches of each lash so far
+    # the phase: what its regime makes of the inputs and the guards, and a step's expansion
+    weighed: FloatArray  # (I,)  u of the regime
     at: npt.NDArray[np.int64]  # (G,)  where a guard's functional is among the outputs of a full step
     sign: FloatArray  # (G,)
     shift: FloatArray  # (G,)
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
+    # full steps
+    affine: FloatArray  # what the inputs add to a step
+    block_affine: FloatArray  # and to a block of them
+    z: FloatArray  # the state, padded, and its outputs
+    after: FloatArray  # the same after a step or a block
     # scratch of `settling`
     reach: FloatArray  # (F,)
     primaries: npt.NDArray[np.int64]  # (capacity,)
 
 
-def make_phase(system: System, capacity: int) -> Phase:
-    """Room for the phases of a run of up to `capacity` events."""
-    most = system.guards.shape[1]
-    driven = system.weights.shape[1]
-    return Phase(
-        np.empty(driven),
-        np.empty(most, np.int64),
-        np.empty(most),
-        np.empty(most),
-        np.empty((5, system.lashes.shape[1])),
-        np.empty(system.functionals.shape[1]),
-        np.empty(capacity, np.int64),
+def make_room(system: System, steps: Steps, capacity: int) -> Room:
+    """Room for runs of up to `capacity` events."""
+    width, of_block = steps.transfer.shape[2], steps.block.shape[2]
+    most, driven = system.guards.shape[1], system.weights.shape[1]
+    return Room(
+        inputs=np.empty(driven),
+        fastest=np.empty(len(system.lashes)),
+        weighed=np.empty(driven),
+        at=np.empty(most, np.int64),
+        sign=np.empty(most),
+        shift=np.empty(most),
+        taylor=np.empty((5, system.lashes.shape[1])),
+        affine=np.empty(width),
+        block_affine=np.empty(of_block),
+        z=np.empty(width),
+        after=np.zeros(of_block),
+        reach=np.empty(system.functionals.shape[1]),
+        primaries=np.empty(capacity, np.int64),
     )
 
 
 @part
-def enter(phase: Phase, system: System, regime: int, inputs: FloatArray) -> None:
-    """Begin a phase in a regime; `inputs` are d of the run."""
-    set_weighed(system, regime, inputs, phase.inputs)
+def enter(room: Room, system: System, regime: int) -> None:
+    """Begin a phase in a regime."""
+    set_weighed(system, regime, room.inputs, room.weighed)
     for g in range(system.regimes[regime].guards):
         row = system.guards[regime, g]
-        phase.at[g], phase.sign[g] = 4 * row.functional, row.sign
-        phase.shift[g] = weigh(system.offsets[regime, g], inputs, inputs_of(system))
+        room.at[g], room.sign[g] = 4 * row.functional, row.sign
+        room.shift[g] = weigh(system.offsets[regime, g], room.inputs, inputs_of(system))
 
 
 @part
-def expand(system: System, flow: int, x: FloatArray, phase: Phase) -> None:
+def expand(system: System, flow: int, x: FloatArray, room: Room) -> None:
     """The step as a polynomial of its length: RK4's own for a linear regime."""
-    taylor, size = phase.taylor, x.size
+    taylor, size = room.taylor, x.size
     for k in range(size):
         taylor[0, k] = x[k]
     for order in range(1, 5):
@@ -68,13 +83,13 @@ def expand(system: System, flow: int, x: FloatArray, phase: Phase) -> None:
             for k in range(size):
                 value += system.rates[flow, row, k] * taylor[order - 1, k]
             if order == 1:
-                value += weigh(system.inputs[flow, row], phase.inputs, inputs_of(system))
+                value += weigh(system.inputs[flow, row], room.weighed, inputs_of(system))
             taylor[order, row] = value / order
 
 
 @part
 def first_event(
-    system: System, regime: int, phase: Phase, length: float, zero_guard: int, zero_order: int
+    system: System, regime: int, room: Room, length: float, zero_guard: int, zero_order: int
 ) -> tuple[float, int]:
     """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
 
@@ -85,9 +100,9 @@ def first_event(
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
-        sign, shift = phase.sign[guard], phase.shift[guard]
+        sign, shift = room.sign[guard], room.shift[guard]
         c0, c1, c2, c3, c4, scale, of_rate = _quartic(
-            system, system.regimes[regime].flow, system.guards[regime, guard].functional, phase
+            system, system.regimes[regime].flow, system.guards[regime, guard].functional, room
         )
         c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
         order, rounding = zero_order if guard == zero_guard else 0, ROUNDING * (scale + abs(shift))
@@ -104,18 +119,18 @@ def first_event(
 
 
 @part
-def widen_extremes(system: System, flow: int, phase: Phase, length: float, extremes: FloatArray) -> None:
+def widen_extremes(system: System, flow: int, room: Room, length: float, extremes: FloatArray) -> None:
     """Update the extremes of each lash's acceleration, (L, 2), by those on the step, both ends included  [rad/s2]."""
     for lash in range(lashes_of(system)):
-        c0, c1, c2, c3, c4, _, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, phase)
+        c0, c1, c2, c3, c4, _, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, room)
         high, low = quartic.extremes(c0, c1, c2, c3, c4, length)
         extremes[lash, 0], extremes[lash, 1] = max(extremes[lash, 0], high), min(extremes[lash, 1], low)
 
 
 @part
-def finish(phase: Phase, s: float, x: FloatArray) -> bool:
+def finish(room: Room, s: float, x: FloatArray) -> bool:
     """Set `x` to the state after time `s` of the expanded step; return whether it is finite."""
-    taylor, finite = phase.taylor, True
+    taylor, finite = room.taylor, True
     for k in range(x.size):
         x[k] = quartic.evaluate(taylor[0, k], taylor[1, k], taylor[2, k], taylor[3, k], taylor[4, k], s)
         finite = finite and np.isfinite(x[k])
@@ -124,10 +139,10 @@ def finish(phase: Phase, s: float, x: FloatArray) -> bool:
 
 @part
 def _quartic(
-    system: System, flow: int, which: int, phase: Phase
+    system: System, flow: int, which: int, room: Room
 ) -> tuple[float, float, float, float, float, float, float]:
     """A functional over the step: the coefficients of its quartic, and the terms that make the first two in size."""
-    driven, taylor = weigh(system.feedthrough[flow, which], phase.inputs, inputs_of(system)), phase.taylor
+    driven, taylor = weigh(system.feedthrough[flow, which], room.weighed, inputs_of(system)), room.taylor
     c0, c1, c2, c3, c4, scale, of_rate = driven, 0.0, 0.0, 0.0, 0.0, abs(driven), 0.0
     for k in range(taylor.shape[1]):
         weight = system.functionals[flow, which, k]
