@@ -28,7 +28,7 @@ from clunk.analysis.measurements import (
 )
 from clunk.analysis.trends import ExperimentComparison, compare_experiment
 from clunk.plot import PlotError
-from clunk.plot.comparisons import difference_map, experiment_map
+from clunk.plot.analyses import difference_map, experiment_map
 from clunk.results.labels import normalised_label
 from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis

@@ -243,14 +243,14 @@ def test_every_touch_is_marked_at_its_flank():
 
 
 def test_closeup_shows_the_first_impact_as_figure_3_3():
-    (ax,) = histories.closeup([recording("IFM"), recording("RCM", "restitution")]).axes
+    (ax,) = histories.history_figure([recording("IFM"), recording("RCM", "restitution")], "closeup").axes
     np.testing.assert_allclose(ax.get_xlim(), (0.18, 0.28), atol=1e-12)
     np.testing.assert_allclose(ax.get_ylim(), (3.0, 4.8), atol=0.05)
 
 
 def test_closeup_without_a_touch_says_so():
     with pytest.raises(PlotError, match="no primary impact happens"):
-        histories.closeup([recording("IFM", "gap", "load.ratio=1")])
+        histories.history_figure([recording("IFM", "gap", "load.ratio=1")], "closeup")
 
 
 @pytest.mark.parametrize("overrides", [(), ("load.ratio=10", "lash.backlash_deg=1")])

@@ -14,7 +14,7 @@ from test_store import example as example_without_config
 from test_sweeping import digest_of
 
 from clunk.analysis.marks import thresholds_of
-from clunk.plot.drawing import scatter
+from clunk.plot.maps import scatter
 from clunk.plot.page import page
 from clunk.plot.style import MOST_POINTS, save
 from clunk.results import store

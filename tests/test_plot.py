@@ -18,9 +18,8 @@ from matplotlib.text import Text
 from clunk import plot
 from clunk.analysis.marks import ridge_of
 from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.drawing import strip
 from clunk.plot.layers import Layers
-from clunk.plot.maps import shades_of
+from clunk.plot.maps import shades_of, strip
 from clunk.plot.style import FAILED_FILL, INK, colour_of, group_colour
 from clunk.results.maps import Results
 from clunk.results.quantities import quantity_of

@@ -11,8 +11,8 @@ from test_thresholds import DURATION, LASH, NOMINAL, RAMP, axis
 import clunk as clunk_api
 from clunk.analysis.quantiles import threshold_quantiles
 from clunk.analysis.thresholds import thresholds
+from clunk.plot.analyses import threshold_figure
 from clunk.plot.style import PlotError
-from clunk.plot.thresholds import quantile_figure
 from clunk.results.quantities import quantity_of
 from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text
@@ -116,7 +116,7 @@ def test_quantiles_need_draws(ramps):
 def test_pictures_have_curves_of_each_quantile(ramps):
     result = threshold_quantiles(ramps, [0.5, 0.95])
     undrawn = thresholds(nominal(ramps.study), along="load.duration", of="double_sided")
-    (ax,) = quantile_figure(result, undrawn).axes
+    (ax,) = threshold_figure(result, undrawn).axes
     values = [set(result.value[result.cell % 2 == k]) for k in (0, 1)] + [set(undrawn.value)]
     colours = dict.fromkeys(line.get_color() for line in ax.lines)  # in the order in which they are drawn
     drawn = [{y for line in ax.lines if line.get_color() == colour for y in line.get_ydata()} for colour in colours]
@@ -127,7 +127,7 @@ def test_pictures_have_curves_of_each_quantile(ramps):
     assert [text.get_text() for text in ax.figure.legends[0].get_texts()] == names
     more = (*ramps.axes, ResultAxis("lash.radius", np.array([1.0, 2.0]), "", "", "m"))
     with pytest.raises(PlotError, match="over one other axis"):
-        quantile_figure(result, replace(undrawn, axes=more))
+        threshold_figure(result, replace(undrawn, axes=more))
 
 
 def test_the_command_says_and_writes_quantiles_or_draws(command, here):

@@ -12,8 +12,8 @@ import clunk
 from clunk.analysis import thresholds as analysis
 from clunk.analysis.search import POINT, TOLERANCE, narrow
 from clunk.analysis.thresholds import thresholds
+from clunk.plot.analyses import threshold_figure
 from clunk.plot.style import PlotError
-from clunk.plot.thresholds import threshold_figure
 from clunk.results.labels import FAILED
 from clunk.results.quantities import quantity_of
 from clunk.study.config import study_from_text

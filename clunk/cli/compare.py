@@ -50,7 +50,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
         click.echo(f"A  {a}\nB  {b}\n")
     tables.tell(comparison, as_json)
     if output is not None:
-        from clunk.plot.comparisons import difference_map, experiment_map
+        from clunk.plot.analyses import difference_map, experiment_map
 
         figure = experiment_map(results, comparison) if other is None else difference_map(results, comparison)
         terminal.save_picture(figure, output)

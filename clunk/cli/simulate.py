@@ -155,9 +155,7 @@ def _save_runs(
 
     latest = max(histories.shown_until(trajectory) for _, trajectory in runs)
     drawn = [histories.sample(trajectory, step, latest, name=name) for name, trajectory in runs]
-    if figure == "closeup":
-        picture = figures.closeup(drawn)
-    elif figure == "small-gap":
+    if figure == "small-gap":
         picture = figures.small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study))
     else:
         picture = figures.history_figure(drawn, figure, each_lash=each_lash)

@@ -132,7 +132,7 @@ def thresholds(
     if output is not None:
         files.check(output, (".csv", ".json", *files.PICTURES), reads=config)
     if is_picture:
-        from clunk.plot import thresholds as plot
+        from clunk.plot import analyses as plot
 
         if draws:
             raise click.UsageError("--draws has no picture; -o FILE.csv takes the thresholds of each draw.")
@@ -154,7 +154,7 @@ def thresholds(
     if output is not None and is_picture:
         if is_toleranced:
             undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, lash=lash, workers=workers)
-            figure = plot.quantile_figure(result, undrawn)
+            figure = plot.threshold_figure(result, undrawn)
         else:
             figure = plot.threshold_figure(located)
         terminal.save_picture(figure, output)

@@ -12,7 +12,7 @@ figures of a file on one page.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from clunk.plot.drawing import default_quantities, draw
+    from clunk.plot.maps import default_quantities, draw
     from clunk.plot.style import PlotError, save
 
 __all__ = [
@@ -24,8 +24,8 @@ __all__ = [
 
 _HOME = {
     "PlotError": "style",
-    "default_quantities": "drawing",
-    "draw": "drawing",
+    "default_quantities": "maps",
+    "draw": "maps",
     "save": "style",
 }
 

@@ -1,32 +1,235 @@
-"""Figures of analyses: a fit's ensemble and predicted labels, Sobol indices, a front of optima."""
+"""Figures of analyses: maps compared, measured labels, thresholds, an ensemble that fits, Sobol indices, optima."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import cycle, groupby
 
 import numpy as np
 from matplotlib import ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from clunk.analysis.fitted import Fitted
+from clunk.analysis.comparison import Comparison
+from clunk.analysis.fitted import Fitted, fit_maps
 from clunk.analysis.optimisation import Front
+from clunk.analysis.quantiles import QUANTILE
 from clunk.analysis.sobol import CONFIDENCE, Sensitivity
+from clunk.analysis.thresholds import DRAW, Thresholds, word_text
+from clunk.analysis.trends import ExperimentComparison
 from clunk.plot import style
-from clunk.plot.comparisons import measured_on_maps
+from clunk.plot.layers import Layers, Measured, Note
+from clunk.plot.maps import map_figure
+from clunk.plot.plane import cell_edges, scale_panels, value_text
+from clunk.plot.style import INK, LINE_COLOURS, Look
+from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.maps import Results
 from clunk.study.arrays import Floats
+from clunk.study.axes import ResultAxis
+from clunk.study.errors import shorten
 from clunk.study.parameters import nominal_value, quantity
+from clunk.study.records import counted
 
+_RARE_COLOUR = "#a9adb0"
+_MARKED = 6  # transitions with colours of their own
+_LISTED = 3  # keys of the config that differ
+_PALE = 0.25  # depth of the regimes' colours under differing cells
+_NARROWEST = 0.002  # of the axis, a band that is seen
+_WITHOUT: Look = {"color": INK, "linewidth": 1.2, "linestyle": "--", "label": "without tolerances"}
 _SIDE = 1.9  # inches, of a panel of the corner plot
 _SHOWN = 1500  # draws
 _BINS = 30
 _LEAST = 0.02  # probability of a label that is in the legend
 _WIDTH = 7.2  # inches, of charts of bars
 _BAR = 0.36  # of the distance from one parameter to the next
-_INTERVAL = {"ecolor": style.INK, "elinewidth": 1.0, "capsize": 2.0}
-_FIRST, _SECOND = style.LINE_COLOURS[:2]
+_INTERVAL = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
+_FIRST, _SECOND = LINE_COLOURS[:2]
+
+# --- Labels on maps
+
+
+def difference_map(a: Results, comparison: Comparison) -> Figure:
+    """The regimes of A, pale, and on them each cell that has another label in B, coloured by the two labels.
+
+    a : the first of the maps that `comparison` compares
+
+    Raises PlotError unless two axes were swept.
+    """
+    layers = Layers.of(a, 2)
+    codes_a, codes_b, rest = map(layers.view.arrange, (comparison.codes_a, comparison.codes_b, comparison.differs))
+    marks = []
+    for transition, colour in zip(comparison.transitions, LINE_COLOURS[:_MARKED], strict=False):
+        code_a, code_b = comparison.labels.index(transition.a), comparison.labels.index(transition.b)
+        cells = (codes_a == code_a) & (codes_b == code_b)
+        rest = rest & ~cells
+        marks.append((f"{transition.a} → {transition.b}", cells, colour))
+    marks.append((f"other transitions ({len(comparison.transitions) - len(marks)})", rest, _RARE_COLOUR))
+    marks.append((f"{FAILED} in B only", (codes_b == FAILED_CODE) & (codes_a != FAILED_CODE), INK))
+    paint, notes = 255.0 - _PALE * (255.0 - layers.region_colours), []
+    for text, cells, colour in marks:
+        if cells.any():
+            paint[cells] = list(bytes.fromhex(colour[1:]))
+            notes.append(Note(f"{text}: {counted(int(np.count_nonzero(cells)), 'cell')}", colour))
+    differing = f"{comparison.differing:,} of {comparison.cells:,} cells differ"
+    layers = replace(layers, paint=paint, notes=tuple(notes), facts=(differing, *_differences(comparison)))
+    title = f"Differences: {a.title}" if len(set(comparison.titles.values())) == 1 else "Differences between two maps"
+    return map_figure([replace(layers, title=title, undecided=np.zeros_like(layers.undecided))])
+
+
+def _differences(comparison: Comparison) -> list[str]:
+    """Titles and keys of the configs of both maps that differ, for the line under the title."""
+    pairs = {key: (each["a"], each["b"]) for key, each in comparison.config_differences.items()}
+    facts = [f"{letter}: {title}" for letter, title in zip("AB", pairs.pop("title", ()), strict=False)]
+    changes = []
+    for key, pair in pairs.items():
+        a, b = ("(not given)" if value is None else shorten(value, 30) for value in pair)
+        changes.append(f"{key} = {a} → {b}")
+    more = f" and {len(changes) - _LISTED} more keys" if len(changes) > _LISTED else ""
+    return [*facts, f"A → B: {', '.join(changes[:_LISTED])}{more}" if changes else "A and B: the same config"]
+
+
+def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure:
+    """The regime map with the measured points on it: dots where the labels agree, crosses where not.
+
+    results : what `comparison` compares the measurements with
+
+    Raises PlotError unless two axes were swept.
+    """
+    layers = Layers.of(results, 2)
+    across, upward = layers.view.keep
+    points = tuple(
+        Measured(point.values[across], point.values[upward], point.measured, point.agrees)
+        for point in comparison.points
+        if point.computed is not None
+    )
+    facts = (*layers.facts, f"points: measured, {comparison.experiment.name}", comparison.experiment.caveat)
+    outside = (Note(f"outside the map, not counted: {comparison.outside}", ""),) if comparison.outside else ()
+    return map_figure([replace(layers, points=points, facts=facts, notes=outside)])
+
+
+def measured_on_maps(fitted: Fitted, workers: int | None = None) -> Figure:
+    """The measured labels on maps before and after the fit, side by side, which are run: dots agree, crosses do not.
+
+    Points are compared with their own runs, not with the map's nearest cells.
+
+    Raises ClunkError unless two parameters were measured, PlotError where the maps cannot be drawn.
+    """
+    panels, names = [], []
+    matches = {"nominal": fitted.nominal_matches, "fitted": fitted.estimate_matches}
+    for (name, of_name), results in zip(matches.items(), fit_maps(fitted, workers), strict=True):
+        layers = Layers.of(results, 2)
+        places = fitted.points[:, [fitted.axes.index(axis.parameter) for axis in layers.view.axes]].tolist()
+        labels = [each.label for each in fitted.experiment.measurements]
+        met = (of_name["pattern"] == fitted.wanted).tolist()
+        points = tuple(Measured(x, y, label, is_met) for (x, y), label, is_met in zip(places, labels, met, strict=True))
+        panels.append(replace(layers, points=points))
+        names.append(f"{name}: {sum(met)} of {len(points)} labels")
+    return map_figure(panels, names)
+
+
+# --- Thresholds
+
+
+def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis:
+    """The axis with several values beside the key. Raises PlotError where there is none, or more than one."""
+    several = [axis for axis in axes if len(axis.values) > 1 and axis.parameter not in (DRAW, QUANTILE)]
+    if len(several) > 1:
+        names = " and ".join(axis.parameter for axis in several)
+        raise style.PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
+    if not several:
+        raise style.PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")
+    return several[0]
+
+
+@style.styled()
+def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) -> Figure:
+    """The outcomes as coloured bands over the other axis, exact upwards, and the thresholds as curves between them.
+
+    Of quantiles of draws in a band a share of the drawn drivelines has one outcome, darker for a larger share.
+
+    nominal : thresholds without tolerances where these are quantiles, drawn as dashed curves
+
+    Raises PlotError where there is not one other axis with several values.
+    """
+    plain = nominal or thresholds
+    x, study = other_axis(plain.axes), thresholds.study
+    figure = style.new_figure()
+    ax = figure.subplots()
+    tints = style.shades(len(thresholds.words))
+    fills = [style.colour_of(word) if isinstance(word, str) else tints[k] for k, word in enumerate(thresholds.words)]
+    drawn, curves, seen = "thresholds of", [], set()
+    shares, colours = [1.0], [INK]
+    if nominal is not None:
+        assert study.sweep is not None
+        drawn = f"share of {study.sweep.sampling.count:,} drivelines"
+        shares, colours = thresholds.axes[-1].values.tolist(), [*LINE_COLOURS[1:]]
+    for (rank, k), colour in zip(enumerate(np.argsort(shares)), cycle(colours), strict=False):
+        paler = {code: style.tint(fill, (rank + 1.0) / len(shares)) for code, fill in enumerate(fills)}
+        paler[FAILED_CODE] = style.tint(style.FAILED_FILL, (rank + 1.0) / len(shares))
+        seen |= _draw_bands(ax, thresholds, x, paler, slice(k, None, len(shares)), color=colour)
+        curves.append(Line2D([], [], color=colour, linewidth=1.6, label=f"in {100.0 * shares[k]:g} %"))
+    if nominal is not None:
+        _draw_bands(ax, nominal, x, {}, slice(None), **_WITHOUT)
+        curves.append(Line2D([], [], **_WITHOUT))
+    scale_panels(figure, [ax], (x, thresholds.along))
+    fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis.values) == 1]
+    notes: list[Artist] = []
+    for code in sorted(seen):
+        word = thresholds.word(code)
+        name = ("no", "yes")[word] if isinstance(word, bool) else word_text(word)
+        notes.append(style.swatch(name, [*fills, style.FAILED_FILL][code]))
+    line = "; ".join([f"{drawn}: {plain.outcome.heading_with_unit}", *fixed])
+    style.lay_out(figure, ax, study.title, line, [*notes, *(curves if nominal else [])])
+    return figure
+
+
+def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
+    """Codes of a cell's intervals that are wide enough to be seen, and the thresholds between them."""
+    narrowest = _NARROWEST * float(np.ptp(thresholds.along.values))
+    codes: list[int] = []
+    begins: list[float] = []
+    for begin, end, code in thresholds.intervals(cell):
+        if end - begin >= narrowest and codes[-1:] != [code]:
+            codes.append(code)
+            begins.append(begin)
+    return tuple(codes), begins[1:]
+
+
+def _draw_bands(
+    ax: Axes, thresholds: Thresholds, x: ResultAxis, fills: Mapping[int, str], every: slice, **look: object
+) -> set[int]:
+    """Fill the intervals of the key with one outcome as bands over x, and draw the thresholds between them.
+
+    fills : colour of each code; those without one stay empty
+    every : of the thresholds' cells, those that are drawn
+
+    Returns the codes of the outcomes that have a band.
+    """
+    seen: set[int] = set()
+    low, high = thresholds.along.values[[0, -1]]
+    cells = np.arange(thresholds.lowest.size)[every][np.argsort(x.values, kind="stable")]
+    x = replace(x, values=np.sort(x.values), words=())
+    edges = np.clip(cell_edges(x), x.values[0], x.values[-1])
+    columns = [_bands(thresholds, cell) for cell in cells.tolist()]
+    for codes, group in groupby(range(len(columns)), key=lambda k: columns[k][0]):
+        alike = list(group)
+        across = np.array([edges[alike[0]], *x.values[alike], edges[alike[-1] + 1]])
+        between = np.array([columns[k][1] for k in alike]).reshape(len(alike), len(codes) - 1).T
+        levels = np.pad(between, ((0, 0), (1, 1)), "edge")
+        line: Look = {"color": INK, "linewidth": 1.4, "zorder": 3} | look
+        ax.plot(across, levels.T, **line)
+        levels = np.vstack([np.full(across.size, low), levels, np.full(across.size, high)])
+        for code, lower, upper in zip(codes, levels[:-1], levels[1:], strict=True):
+            if code in fills:
+                ax.fill_between(across, lower, upper, zorder=1, facecolor=fills[code], linewidth=0.0, antialiased=False)
+                seen.add(code)
+    return seen
+
+
+# --- Fits, sensitivities, optima
 
 
 @style.styled()
@@ -47,13 +250,12 @@ def corner(fitted: Fitted) -> Figure:
         ax.tick_params(labelsize=8.0, labelleft=column == 0)
         if column == row:
             _draw_distribution(ax, fitted, row, draws[:, row])
-        else:
-            ax.scatter(draws[:, column], draws[:, row], s=3.0, color=_FIRST, alpha=0.25, linewidths=0)
-            ax.axhline(fitted.estimate[row], color=_SECOND, linewidth=0.9)
-    for k in range(count):
-        grid[-1, k].set_xlabel(names[k])
-        if k:
-            grid[k, 0].set_ylabel(names[k])
+            continue
+        ax.scatter(draws[:, column], draws[:, row], s=3.0, color=_FIRST, alpha=0.25, linewidths=0)
+        ax.axhline(fitted.estimate[row], color=_SECOND, linewidth=0.9)
+    for k, name in enumerate(names):
+        grid[-1, k].set_xlabel(name)
+        grid[k, 0].set_ylabel(name if k else "")
     line = f"{len(fitted.weights):,} draws, effectively {fitted.effective:.0f}; lines: best candidate; dashed: prior"
     style.lay_out(figure, grid[0, 0], f"{fitted.study.title}: ensemble", line)
     return figure
@@ -61,12 +263,11 @@ def corner(fitted: Fitted) -> Figure:
 
 def _draw_distribution(ax: Axes, fitted: Fitted, k: int, draws: Floats) -> None:
     """Draw the shares of a parameter's draws in bins, its interval and its prior."""
-    prior, edges = fitted.priors[k], np.histogram_bin_edges(draws, _BINS)
-    shares = np.linspace(0.0, 1.0, 2001)[1:-1]
+    prior, shares = fitted.priors[k], np.linspace(0.0, 1.0, 2001)[1:-1]
     before = prior.quantiles(shares, nominal_value(fitted.study, prior.parameter))
-    ax.stairs(np.histogram(draws, edges)[0] / draws.size, edges, fill=True, color=_FIRST, alpha=0.5)
-    of_prior = np.histogram(before, edges)[0] / before.size
-    ax.stairs(of_prior, edges, color=style.INK, linestyle="--", linewidth=0.8)
+    _, edges, _ = ax.hist(draws, _BINS, weights=np.full(draws.size, 1.0 / draws.size), color=_FIRST, alpha=0.5)
+    outline: Look = {"histtype": "step", "color": INK, "linestyle": "--", "linewidth": 0.8}
+    ax.hist(before, edges.tolist(), weights=np.full(before.size, 1.0 / before.size), **outline)
     for bound in fitted.intervals()[k]:
         ax.axvline(bound, color=_FIRST, linewidth=0.8)
     ax.set_yticks([])
@@ -84,29 +285,25 @@ def _name(fitted: Fitted, k: int) -> str:
 @style.styled()
 def label_probabilities(fitted: Fitted) -> Figure:
     """The ensemble's probability of each label at each measured point; the measured label's part is framed."""
-    measured = fitted.measured
-    figure = style.new_figure((_WIDTH, 1.3 + 0.24 * len(measured)))
+    figure = style.new_figure((_WIDTH, 1.3 + 0.24 * len(fitted.measured)))
     ax = figure.add_subplot()
-    notes: dict[str, Artist] = {}
-    for row, each in enumerate(measured):
-        left = 0.0
-        for label, share in each.probabilities.items():
-            is_measured = label == each.label
-            look: dict[str, Any] = {"edgecolor": style.INK, "linewidth": 1.4} if is_measured else {"edgecolor": "white"}
-            colour = style.colour_of(label)
-            ax.barh(row, share, left=left, height=0.78, color=colour, **look)
-            left += share
-            if share >= _LEAST:
-                notes[label] = style.swatch(label, colour)
     symbols = [style.symbol_text(style.bare(quantity(axis).symbol)) or axis for axis in fitted.axes]
+    notes: dict[str, Artist] = {}
     names = []
-    for each in measured:
+    for row, each in enumerate(fitted.measured):
         values = (f"{symbol} = {value:g}" for symbol, value in zip(symbols, each.at.values(), strict=True))
         names.append(f"{', '.join(values)}:  {each.label}")
+        left = 0.0
+        for label, share in each.probabilities.items():
+            edge: Look = {"edgecolor": INK, "linewidth": 1.4} if label == each.label else {"edgecolor": "white"}
+            ax.barh(row, share, left=left, height=0.78, color=style.colour_of(label), **edge)
+            left += share
+            if share >= _LEAST:
+                notes[label] = style.swatch(label, style.colour_of(label))
     ax.set_yticks(range(len(names)), names, fontsize=8.0)
     ax.set(xlim=(0.0, 1.0), ylim=(len(names) - 0.4, -0.6), xlabel="probability of the label")
     line = f"framed: the measured label; ensemble of {len(fitted.weights):,} draws"
-    style.lay_out(figure, ax, f"{fitted.study.title}: predicted labels", line, list(notes.values()))
+    style.lay_out(figure, ax, f"{fitted.study.title}: predicted labels", line, [*notes.values()])
     return figure
 
 
@@ -129,19 +326,18 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     if not drawn:
         raise style.PlotError("There are no indices to draw: every quantity is the same in all runs.")
     parameters = [*drawn[0][1]]
+    axes, places = [*map(quantity, parameters)], np.arange(len(parameters))
     figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))
-    places = np.arange(len(parameters))
     for ax, (heading, shares) in zip(panels, drawn, strict=True):
         ordered = [shares[parameter] for parameter in parameters]
         first = [(each.first, *each.first_interval) for each in ordered]
         total = [(each.total, *each.total_interval) for each in ordered]
-        for values, colour, at in ((first, _FIRST, places - 0.5 * _BAR), (total, _SECOND, places + 0.5 * _BAR)):
+        for values, colour, at in ((first, _FIRST, -0.5 * _BAR), (total, _SECOND, 0.5 * _BAR)):
             share, *interval = np.transpose(values)
-            ax.barh(at, share, _BAR, color=colour, xerr=np.abs(interval - share), error_kw=_INTERVAL)
-        ax.axvline(0.0, color=style.INK, linewidth=0.8)
+            ax.barh(places + at, share, _BAR, color=colour, xerr=np.abs(interval - share), error_kw=_INTERVAL)
+        ax.axvline(0.0, color=INK, linewidth=0.8)
         ax.set_title(style.capital(heading), loc="left", fontsize=9.0)
         style.tidy(ax, "x")
-    axes = [*map(quantity, parameters)]
     names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
     panels[0].set_yticks(places, names)
     panels[0].set_ylim(len(parameters) - 0.5, -0.5)
@@ -158,9 +354,9 @@ def trade_off(front: Front) -> Figure:
     """What is minimised over the quantity that is bounded, a point for each optimum."""
     figure = style.new_figure()
     ax = figure.add_subplot()
-    minimized, bounded = ([best.quantities[name] for best in front.points] for name in front.traded)
-    ax.plot(bounded, minimized, "o-", color=style.INK)
-    ax.set(xlabel=front.traded[1], ylabel=front.traded[0])
+    minimized, bounded = front.traded
+    ax.plot(*([best.quantities[name] for best in front.points] for name in (bounded, minimized)), "o-", color=INK)
+    ax.set(xlabel=bounded, ylabel=minimized)
     style.tidy(ax)
-    style.lay_out(figure, ax, front.points[0].study.title, f"the least {front.traded[0]} for each {front.traded[1]}")
+    style.lay_out(figure, ax, front.points[0].study.title, f"the least {minimized} for each {bounded}")
     return figure

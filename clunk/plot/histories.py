@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from clunk.plot import style
-from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, MINUS, PlotError, symbol_text
-from clunk.simulation.history import History
+from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, MINUS, Look, PlotError, symbol_text
+from clunk.simulation.history import History, Impact
 from clunk.simulation.load import load_step
 from clunk.simulation.small_gap import SmallGap
 from clunk.study.arrays import Floats
@@ -24,13 +24,14 @@ from clunk.study.errors import listing
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 
 Runs = Sequence[History]
-Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width
+Looks = dict[str, Look]  # colour, dashes and width of the curves of each run, by its name
 
 _WIDTH, _AROUND, _LOWEST = 7.2, 1.2, 4.6  # inches: of a figure, around its panels, and its least height
 _LINE = 1.3  # points
 _PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
 _CLOSE, _BEFORE, _TICK = 0.1, 0.03, 0.01  # s: of a close-up, of it before the impact, and between its ticks
 _GAP_FILL = "#e4e4e4"
+_LEAST = 1e-6  # mm, of a coordinate: locked flanks stay together but for rounding, which is nothing to look at
 _LABELLED = 12  # impacts; more arrows than these would hide the curve
 
 
@@ -42,57 +43,48 @@ def history_figure(runs: Runs, name: str = "everything", *, each_lash: bool = Tr
     `acceleration` of one lash there is a panel for each load and gap, which runs that have these share (Figure 3.2).
 
     each_lash : whether every lash is shown, or that in view alone
+
+    Raises PlotError where there is no run, or no primary impact to look at closely.
     """
     if not runs:
         raise PlotError("There is no run to draw.")
-    lashes = min(len(run.lashes) for run in runs) if each_lash else 1
+    lashes = min(len(run.lashes) for run in runs) if each_lash and name != "closeup" else 1
     groups: dict[str, Runs] = {"": runs}
     if lashes > 1:
-        groups = {runs[0].study.lash_names[k]: [run.lashes[k] for run in runs] for k in range(lashes)}
+        groups = {style.plain(runs[0].study.lash_names[k]): [run.lashes[k] for run in runs] for k in range(lashes)}
     elif name in ("backlash", "acceleration"):
         cases = [_case(run) for run in runs]
         groups = {each: [run for run, case in zip(runs, cases, strict=True) if case == each] for each in cases}
-    shared = [(draw, height, "", runs) for draw, height in FIGURES[name] if draw not in _OF_LASH]
-    of_lash = [
-        (draw, height, title, group)
-        for title, group in groups.items()
-        for draw, height in FIGURES[name]
-        if draw in _OF_LASH
-    ]
-    panels = [*shared, *of_lash]
+    panels = [(*panel, "", runs) for panel in FIGURES[name] if panel[0] not in _OF_LASH]
+    for title, group in groups.items():
+        panels += [(*panel, title, group) for panel in FIGURES[name] if panel[0] in _OF_LASH]
     figure, axes = _frame(runs, [height for _, height, _, _ in panels])
-    looks = {run.name: look for run, look in _curves(runs)}
+    looks = _looks(runs)
     for ax, (draw, _, title, group) in zip(axes, panels, strict=True):
         if lashes == 1 and len(groups) > 1 and ax is not axes[0]:
             ax.sharey(axes[0])
-        draw(ax, [(run, looks[run.name]) for run in group])
+        draw(ax, group, looks)
         if title and len(groups) > 1:
             labels = ", ".join(dict.fromkeys(run.trajectory.label for run in group))
-            name = title if lashes == 1 else style.plain(title)  # a load and a gap have TeX in them
-            ax.set_title(f"{name}: {labels}", loc="right", fontsize=9.0)
+            ax.set_title(f"{title}: {labels}", loc="right", fontsize=9.0)
+    if name == "closeup":
+        _look_closely(axes[0], runs)
     _finish(figure, axes, runs, outcomes=lashes == 1)
     return figure
 
 
-@style.styled()
-def closeup(runs: Runs) -> Figure:
-    """The backlash coordinate near the flank of the first primary impact for a tenth of a second (Figure 3.3).
-
-    Raises PlotError where there is no primary impact.
-    """
+def _look_closely(ax: Axes, runs: Runs) -> None:
+    """Show the backlash coordinate near the flank of the first primary impact for a tenth of a second (Figure 3.3)."""
     first = min((run for run in runs if run.impacts), key=lambda run: run.impacts[0].begin, default=None)
     if first is None:
         raise PlotError("There is no impact to look at closely: no primary impact happens.")
-    begin = np.floor((first.impacts[0].begin - _BEFORE) / _TICK) * _TICK  # the axis begins at a tick
-    end, side = begin + _CLOSE, int(first.touches.side[np.argmax(first.touches.primary)])
-    is_near = [(run.time >= first.impacts[0].begin) & (run.time <= end) for run in runs]
-    near = np.concatenate([side * 1e3 * run.backlash_coordinate[rows] for run, rows in zip(runs, is_near, strict=True)])
-    height = max(np.ptp(near), 1e-9)
-    figure, (ax,) = _frame(runs, [_LOWEST - _AROUND])
-    draw_backlash(ax, _curves(runs))
-    ax.set(xlim=(begin, end), ylim=sorted((side * (near.min() - 0.2 * height), side * (near.max() + 0.22 * height))))
-    _finish(figure, [ax], runs)
-    return figure
+    impact, side = first.impacts[0].begin, int(first.touches.side[np.argmax(first.touches.primary)])
+    begin = np.floor((impact - _BEFORE) / _TICK) * _TICK  # the axis begins at a tick
+    end = begin + _CLOSE
+    near = [side * 1e3 * run.backlash_coordinate[(run.time >= impact) & (run.time <= end)] for run in runs]
+    low, high = np.concatenate(near).min(), np.concatenate(near).max()
+    height = max(high - low, 1e-9)
+    ax.set(xlim=(begin, end), ylim=sorted((side * (low - 0.2 * height), side * (high + 0.22 * height))))
 
 
 def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
@@ -111,31 +103,32 @@ def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool = True) -> None:
+def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool) -> None:
     """Write the titles, and below a legend of the runs and of the touches; outcomes : of the lash in view."""
     titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
     line = listing([*loads]) + (f", {cases.pop()}" if len(cases) == 1 else "")
-    if len(runs) == 1 and outcomes:
-        line = f"{line}: {_outcome(runs[0])}"
+    told = {run.name: f": {outcome(run)}" if outcomes else "" for run in runs}
     handles: list[Artist] = []
-    names = [run.name for run in runs]
-    for run, look in dict(zip(names, _curves(runs), strict=True)).values() if len(runs) > 1 else ():
-        outcome = f": {_outcome(run)}" if outcomes and names.count(run.name) == 1 else ""
-        handles.append(Line2D([], [], **look, label=style.plain(run.name) + outcome))
+    if len(runs) == 1:
+        line += told[runs[0].name]
+    else:
+        names = [run.name for run in runs]
+        for name, look in _looks(runs).items():
+            text = style.plain(name) + (told[name] if names.count(name) == 1 else "")
+            handles.append(Line2D([], [], **look, label=text))
     if any(line.get_gid() in ("primary", "secondary") for ax in axes for line in ax.lines):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
             handles.append(Line2D([], [], marker="^", label=text, **_touch_look(FAINT_INK, primary=primary)))
     style.lay_out(figure, axes[0], title, line, handles, parse_math=True)
 
 
-def _curves(runs: Runs) -> list[Curve]:
-    """Runs with their colours and dashes, alike for one name."""
+def _looks(runs: Runs) -> Looks:
+    """Colours and dashes of runs, alike for one name."""
     names = dict.fromkeys(run.name for run in runs)
     each = zip(names, cycle(LINE_COLOURS), cycle(_PATTERNS), strict=False)
-    looks = {name: {"color": colour, "linestyle": dashes, "linewidth": _LINE} for name, colour, dashes in each}
-    return [(run, looks[run.name]) for run in runs]
+    return {name: {"color": colour, "linestyle": dashes, "linewidth": _LINE} for name, colour, dashes in each}
 
 
 def _case(run: History) -> str:
@@ -144,141 +137,128 @@ def _case(run: History) -> str:
     before, after = load_step(load)
     text = f"T = {before:g} → {after:g} N m"
     if load.ratio is not None:
-        text = f"{style.symbol_text('σr')} = {load.ratio:g}"
+        text = f"{symbol_text('σr')} = {load.ratio:g}"
     elif load.profile == "pulse":
         text = f"T = {before:g} → {load.final_torque:g} → {after:g} N m"
     parts = [text, *numbers(dict(load), without=STEP_KEYS)]
     gaps = "/".join(f"{lash.backlash_deg:g}°" for lash in run.study.lashes)
-    return f"{', '.join(parts).replace('-', MINUS)}, {style.symbol_text('φθ')} = {gaps}"
+    return f"{', '.join(parts).replace('-', MINUS)}, {symbol_text('φθ')} = {gaps}"
 
 
-def _outcome(run: History) -> str:
+def outcome(run: History) -> str:
     """The label of a run and its severity, where it has one; of one of several lashes with its name."""
     severity = run.trajectory.severity
     name = f"{run.study.lash_names[run.trajectory.lash]} " if len(run.lashes) > 1 else ""
     return name + run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
 
 
-def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
+def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Angle of every inertia; where the driveline rolls, less its rolling."""
-    rolls = any(run.twist is not run.angle for run, _ in curves)
-    _draw_inertias(ax, curves, [run.twist for run, _ in curves], "θ")
+    rolls = any(run.twist is not run.angle for run in runs)
+    _draw_inertias(ax, runs, looks, [run.twist for run in runs], "θ")
     ax.set_ylabel("Rotation less\nrolling [rad]" if rolls else "Rotation [rad]")
 
 
-def draw_speeds(ax: Axes, curves: Sequence[Curve]) -> None:
+def draw_speeds(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Speed of every inertia, its rolling included."""
-    _draw_inertias(ax, curves, [run.velocity for run, _ in curves], r"$\mathregular{\dot{\theta}}$")
+    _draw_inertias(ax, runs, looks, [run.velocity for run in runs], r"$\mathregular{\dot{\theta}}$")
     ax.set_ylabel("Speed [rad/s]")
 
 
-def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[Floats], symbol: str) -> None:
+def _draw_inertias(ax: Axes, runs: Runs, looks: Looks, values: Sequence[Floats], symbol: str) -> None:
     """Values of every inertia, (M, n) for each run: each inertia in its colour, each run in its dashes."""
-    handles: dict[int, Line2D] = {}
-    names = curves[0][0].study.driveline.names or ()
-    for (run, look), columns in zip(curves, values, strict=True):
-        for inertia, (column, colour) in enumerate(zip(columns.T, cycle(LINE_COLOURS), strict=False)):
-            ax.plot(run.time, column, zorder=3, **look | {"color": colour})
-            name = names[inertia] if inertia < len(names) else ""
-            label = f"{symbol}{_index(inertia + 1)} {style.plain(name)}".rstrip()
-            handles[inertia] = Line2D([], [], color=colour, label=label)
-    ax.legend(
-        handles=[*handles.values()],
-        handlelength=1.4,
-        frameon=False,
-        loc="upper left",
-        bbox_to_anchor=(1.0, 1.03),
-        borderaxespad=0.2,
-    )
+    names, notes = runs[0].study.driveline.names, []
+    for inertia, colour in zip(range(max(columns.shape[1] for columns in values)), cycle(LINE_COLOURS), strict=False):
+        for run, columns in zip(runs, values, strict=True):
+            ax.plot(run.time, columns[:, inertia : inertia + 1], zorder=3, **looks[run.name] | {"color": colour})
+        name = style.plain(names[inertia]) if names else ""
+        notes.append(Line2D([], [], color=colour, label=f"{symbol}{_index(inertia + 1)} {name}".rstrip()))
+    beside: Look = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
+    ax.legend(handles=notes, handlelength=1.4, frameon=False, **beside)
 
 
-def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
+def draw_torque(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Torque of the load."""
-    for run, look in curves:
-        single = {"color": INK} if len(curves) == 1 else {}  # the first inertia has the first run's colour
-        ax.plot(run.time, run.torque, zorder=3, **look | single)
+    for run in runs:
+        single = {"color": INK} if len(runs) == 1 else {}  # the first inertia has the first run's colour
+        ax.plot(run.time, run.torque, zorder=3, **looks[run.name] | single)
     ax.set_ylabel("Torque\n[N m]")
     ax.yaxis.set_major_locator(ticker.MaxNLocator(4))
     ax.margins(y=0.25)
 
 
-def draw_backlash(ax: Axes, curves: Sequence[Curve]) -> None:
+def draw_backlash(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Backlash coordinate x_b in millimetres, the widest gap in grey, touches filled where primary."""
-    runs = [run for run, _ in curves]
-    widest = max(1e3 * run.half_gap for run in runs)
+    flanks, size, reach = flank_names(runs), 6.5, _LEAST
+    widest = max(flanks)
     ax.axhspan(-widest, widest, color=_GAP_FILL, linewidth=0.0, zorder=0)
-    size = 6.5
-    for run, look in curves:
-        coordinate = 1e3 * run.backlash_coordinate
+    for run in runs:
+        coordinate, look = 1e3 * run.backlash_coordinate, looks[run.name]
         ax.plot(run.time, coordinate, zorder=3, **look)
-        for row, side, primary in zip(run.touches.row, run.touches.side, run.touches.primary, strict=True):
-            ax.plot(
-                run.time[row],
-                coordinate[row],
-                marker="^" if side > 0 else "v",
-                gid="primary" if primary else "secondary",
-                **_touch_look(look["color"], primary=primary, size=size),
-            )
+        for row, side, primary in zip(*run.touches[:3], strict=True):
+            marker: Look = {"marker": "^" if side > 0 else "v", "gid": "primary" if primary else "secondary"}
+            marker |= _touch_look(look["color"], primary=primary, size=size)
+            ax.plot(run.time[row], coordinate[row], **marker)
         size *= 0.8  # so that of impacts in one place all can be seen
+        reach = max(reach, 1.2 * widest, 1.05 * float(np.abs(coordinate).max()))
     ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
-    reach = max(1.2 * widest, *(1.05e3 * np.abs(run.backlash_coordinate).max() for run in runs))
-    # locked flanks without a gap stay together but for rounding, which is nothing to look at
-    ax.set_ylim((-reach, reach) if reach > 1e-9 * max(run.lash.radius for run in runs) else (-1.0, 1.0))
-    initial_sides = {run.trajectory.initial_side for run in runs}
-    names = {0.0: "gap" if widest else "no gap"}
-    for side in (-1, 1) if widest else ():
-        name = "initial flank" if side in initial_sides else "opposite flank"
-        names[side * widest] = name if len(initial_sides) == 1 else "flank"
+    ax.set_ylim(-reach, reach)
+    names = {0.0: "gap"} | flanks
     right = ax.secondary_yaxis("right")
     right.set_yticks([*names], [*names.values()], fontsize=8.5)
     right.tick_params(length=0.0, labelcolor=FAINT_INK)
     right.spines["right"].set_visible(False)
 
 
-def _touch_look(colour: Any, *, primary: bool, size: float = 6.5) -> dict[str, Any]:
+def flank_names(runs: Runs) -> dict[float, str]:
+    """Names of the flanks of the widest gap, by their backlash coordinates  [mm]."""
+    widest = max(1e3 * run.half_gap for run in runs)
+    initial = {run.trajectory.initial_side for run in runs}
+    if not widest:
+        return {0.0: "no gap"}
+    names = {side: "initial flank" if side in initial else "opposite flank" for side in (-1, 1)}
+    return {side * widest: name if len(initial) == 1 else "flank" for side, name in names.items()}
+
+
+def _touch_look(colour: Any, *, primary: bool, size: float = 6.5) -> Look:
     """Look of a touch's marker: primary impacts filled, chatter small and open."""
     edge, face, zorder = (INK, colour, 5) if primary else (colour, "white", 4)
     look = {"linestyle": "none", "color": colour, "markeredgewidth": 0.7, "markersize": size if primary else 4.0}
     return look | {"markeredgecolor": edge, "markerfacecolor": face, "zorder": zorder}
 
 
-def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
+def draw_acceleration(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Acceleration of the watched inertia, and of a single run the peak-to-peak values that Q is made of."""
-    for run, look in curves:
-        curve = run.acceleration[:, run.watched - 1]
-        solid = {"linestyle": "solid"} if len(curves) == 1 else {}
-        ax.plot(run.time, curve, zorder=3, **look | {"linewidth": 1.0} | solid)
-    watched = {run.watched for run, _ in curves}
+    thin: Look = {"linewidth": 1.0} | ({"linestyle": "solid"} if len(runs) == 1 else {})
+    for run in runs:
+        ax.plot(run.time, run.acceleration[:, run.watched - 1], zorder=3, **looks[run.name] | thin)
+    watched = {run.watched for run in runs}
     index = _index(watched.pop()) if len(watched) == 1 else ""
     ax.set_ylabel("Acceleration\n" + rf"$\mathregular{{\ddot{{\theta}}}}${index} [rad/s²]")
-    if any(run.is_restitution for run, _ in curves):
+    if any(run.is_restitution for run in runs):
         ax.margins(y=0.2)
         text = "restitution model: between the touches only, where velocities jump; Q is not defined"
         ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, transform=ax.transAxes, ha="right", va="top")
-    elif len(curves) == 1:
-        _mark_severity(ax, curves[0][0])
+    elif len(runs) == 1:
+        _mark_severity(ax, runs[0])
 
 
 def _mark_severity(ax: Axes, run: History) -> None:
     """A double arrow over each impact's peak-to-peak acceleration, with its value."""
-    impacts = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
     begin, end = run.time[[0, -1]]
-    arrow = {"arrowstyle": "<->", "relpos": (0.5, 0.0), "shrinkA": 0.0, "shrinkB": 0.0}
-    for impact in impacts if len(impacts) <= _LABELLED else []:
+    look: Look = {"ha": "center", "va": "bottom", "fontsize": 9.0, "gid": "severity", "zorder": 6}
+    look["arrowprops"] = {"arrowstyle": "<->", "relpos": (0.5, 0.0), "shrinkA": 0.0, "shrinkB": 0.0}
+    for impact in measured_impacts(run):
         x = min(impact.begin + 0.028 * (end - begin), 0.5 * (impact.begin + min(impact.end, end)))
         text = f"Q{_index(impact.number)} = {impact.severity:.0f}"
-        ax.annotate(
-            text,
-            (x, impact.smallest),
-            (x, impact.largest),
-            arrowprops=arrow,
-            ha="center",
-            va="bottom",
-            fontsize=9.0,
-            gid="severity",
-            zorder=6,
-        )
+        ax.annotate(text, (x, impact.smallest), (x, impact.largest), **look)
     ax.margins(y=0.12)
+
+
+def measured_impacts(run: History) -> Sequence[Impact]:
+    """The primary impacts whose peak-to-peak accelerations are marked: none where they would hide the curve."""
+    impacts = [each for each in run.impacts if each.rows.stop > each.rows.start and not run.is_restitution]
+    return impacts if len(impacts) <= _LABELLED else []
 
 
 def _index(number: int) -> str:
@@ -288,12 +268,13 @@ def _index(number: int) -> str:
 
 _OF_LASH = (draw_backlash, draw_acceleration)
 # Name of a figure -> its panels from above, and the height of each  [inches].
-FIGURES: dict[str, Sequence[tuple[Callable[[Axes, Sequence[Curve]], None], float]]] = {
+FIGURES: dict[str, Sequence[tuple[Callable[[Axes, Runs, Looks], None], float]]] = {
     "everything": ((draw_torque, 0.8), (draw_angles, 2.7), (draw_backlash, 2.2), (draw_acceleration, 2.3)),
     "angles": ((draw_angles, 3.2), (draw_torque, 0.8)),
     "speeds": ((draw_speeds, 3.2), (draw_torque, 0.8)),
     "backlash": ((draw_backlash, 2.3),),
     "acceleration": ((draw_acceleration, 2.6),),
+    "closeup": ((draw_backlash, _LOWEST - _AROUND),),
 }
 
 

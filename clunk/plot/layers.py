@@ -17,7 +17,7 @@ from clunk.plot.style import FAILED_FILL, UNDEFINED, PlotError, colour_of, group
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import CERTAIN, AnyMap, ToleranceMap
-from clunk.results.quantities import LABEL, NUMBER, TEXT, YES_NO, Quantity, quantity_of
+from clunk.results.quantities import LABEL, TEXT, YES_NO, Quantity, quantity_of
 from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
@@ -133,27 +133,23 @@ class Layers:
             facts=(draws,),
             caveats=tuple(drawn.caveats),
         )
-        if values is None:
+        if values is None or dimensions == 1:
             layers = layers._grouped(most)
             return layers._faded(drawn) if isinstance(drawn, ToleranceMap) else layers
         of_labels = [described.of_label(label) for label in labels]
         by_label = None not in of_labels
         whole = np.unique(np.array(of_labels) if by_label else values[np.isfinite(values)])
-        is_told_apart = described.type != NUMBER and whole.size <= MOST_LABELS and not draws
-        fact = f"{'whether' if described.type == YES_NO else 'numbers:'} {described.heading}"
-        if is_told_apart and by_label:
-            return layers._regrouped(np.array(of_labels), layers._looks_of(whole), fact)
-        layers = replace(layers, undecided=np.zeros_like(layers.undecided))
-        if is_told_apart and described.type == YES_NO:
-            codes = np.where(np.isnan(values), FAILED_CODE, np.searchsorted(whole, values)).astype(np.int16)
-            names, colours = zip(*layers._looks_of(whole).values(), strict=True)
-            layers = replace(layers, codes=codes, boundaries=None, unresolved=layers.unresolved[:0])
-            return replace(layers, names=names, colours=colours, facts=(fact,))
+        if (by_label or described.type == YES_NO) and whole.size <= MOST_LABELS and not draws:
+            if not by_label:  # lines are traced between labels
+                codes = np.where(np.isnan(values), FAILED_CODE, np.searchsorted(whole, values)).astype(np.int16)
+                layers = replace(layers, codes=codes, boundaries=None, unresolved=layers.unresolved[:0])
+                layers = replace(layers, undecided=np.zeros_like(undecided))
+            fact = f"{'whether' if described.type == YES_NO else 'numbers:'} {described.heading}"
+            return layers._regrouped(np.array(of_labels) if by_label else whole, layers._looks_of(whole), fact)
         if len(view.axes) > 1:
             lines = f"{'light' if layers.has_light_lines else 'dark'} lines: boundaries of the "
-            fact = lines + ("most likely regimes" if draws else "regimes")
-            layers = replace(layers, facts=(*layers.facts, fact))
-        return replace(layers._grouped(most), shaded=True)
+            layers = replace(layers, facts=(draws, lines + ("most likely regimes" if draws else "regimes")))
+        return replace(layers._grouped(most), shaded=True, undecided=np.zeros_like(undecided))
 
     def _grouped(self, most: int) -> Layers:
         """Regions of labels, or of their numbers of double-sided impacts where the labels are too many to be read."""
@@ -166,12 +162,11 @@ class Layers:
 
     def _looks_of(self, whole: Floats) -> dict[float, tuple[str, str]]:
         """Name and colour of each of these values of the quantity."""
-        is_yes_or_no, counts_groups = self.quantity.type == YES_NO, self.quantity.name == "double_sided_impacts"
-        looks = {}
-        for value, colour in zip(whole.tolist(), shades(whole.size), strict=True):
-            name = ("no", "yes")[int(value)] if is_yes_or_no else f"{value:g}"
-            looks[value] = name, group_colour(int(value)) if counts_groups else colour
-        return looks
+        names = ("no", "yes") if self.quantity.type == YES_NO else [f"{value:g}" for value in range(1 + int(whole[-1]))]
+        if self.quantity.name == "double_sided_impacts":
+            return {value: (names[int(value)], group_colour(int(value))) for value in whole.tolist()}
+        tints = zip(whole.tolist(), shades(whole.size), strict=True)
+        return {value: (names[int(value)], colour) for value, colour in tints}
 
     def _regrouped(self, numbers: Array, looks: Mapping[float, tuple[str, str]], fact: str) -> Layers:
         """The layers with a region for all labels with the same number, marked where two of these meet.

@@ -1,4 +1,4 @@
-"""The figure of a plane: regions or a quantity over two axes, with lines, marks and names; one map or several."""
+"""The figure of a map's quantity: a plane or several side by side, a strip along one axis, or runs as points."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -22,12 +23,24 @@ from matplotlib.patheffects import withStroke
 
 from clunk.analysis.marks import ridge_of
 from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
-from clunk.plot.layers import MOST_LABELS, Layers
-from clunk.plot.plane import cell_edges, drawn_axes, fixed_parameters, scale_panels, value_text
+from clunk.plot.layers import MOST_LABELS, Layers, hardness
+from clunk.plot.plane import (
+    USUAL,
+    axis_label,
+    cell_edges,
+    drawn_axes,
+    fixed_parameters,
+    scale_axis,
+    scale_panels,
+    value_text,
+)
 from clunk.plot.style import (
+    DASHED,
     FAILED_FILL,
+    FAINT_INK,
     HUES,
     INK,
+    LINE_COLOURS,
     MINUS,
     MOST_POINTS,
     SIZE,
@@ -36,16 +49,19 @@ from clunk.plot.style import (
     add_notes,
     bare,
     lay_out,
+    new_figure,
     new_panels,
     remark,
     styled,
     swatch,
     symbol_text,
+    tidy,
 )
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.maps import AnyMap
-from clunk.results.quantities import LABEL, NUMBER, WHOLE, YES_NO
+from clunk.results.maps import AnyMap, Results, ToleranceMap
+from clunk.results.quantities import LABEL, NUMBER, TEXT, WHOLE, YES_NO, quantity_of
 from clunk.study.arrays import Floats
+from clunk.study.axes import RUN, ResultAxis
 
 POINT = 6.5  # points, diameter of a measured point
 POINT_LOOKS: dict[bool, dict[str, Any]] = {  # of points that agree, and that do not
@@ -63,6 +79,74 @@ _NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
 _AROUND = (0.9, 1.3)  # inches, for their axes and titles
 _WITHOUT_RIDGE = ("margin", "last_event_time")
 _LONG = 0.5  # of the map's width, that a ridge has at least
+_LISTED, _LINE = 24, 100  # values at which labels change, and characters of a line of them
+
+
+def draw(
+    drawn: AnyMap,
+    quantity: str,
+    thresholds: Sequence[float] = (),
+    *,
+    facets: Sequence[str] = (),
+    x: str | None = None,
+    y: str | None = None,
+) -> Figure:
+    """The figure of a quantity, in the words of `clunk.results.quantities`.
+
+    A map for two swept axes, a strip for one, points for runs of a sample or of axes that are walked together. More
+    axes are taken by `facets`, or fixed beforehand (`Results.at`).
+
+    thresholds : see `map_figure`
+    facets : one axis or two, of which each value has its own map
+    x, y : of runs the parameters, by default a grid's axis, load ratio and backlash first; x alone asks for the
+        quantity over x
+
+    Raises PlotError, and ClunkError where there is no such quantity.
+    """
+    quantity = quantity_of(quantity, drawn).name
+    parameters = _plane(drawn, facets, x, y)
+    if facets:
+        return facet_map(drawn, facets, quantity)
+    if isinstance(drawn, Results) and _has_runs(drawn):
+        return scatter(drawn, quantity, *parameters)
+    if len(parameters) > 1:
+        return map_figure([Layers.of(drawn, 2, quantity)], thresholds=thresholds)
+    return strip(drawn, quantity)
+
+
+def default_quantities(
+    drawn: AnyMap, *, facets: Sequence[str] = (), x: str | None = None, y: str | None = None
+) -> list[str]:
+    """Quantities that are drawn where none is named: the regimes, and how hard the impacts are.
+
+    Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Of a
+    tolerance map how probable double-sided impacts are, too.
+    """
+    names = ["regimes", *["double_sided"] * isinstance(drawn, ToleranceMap), hardness(drawn)]
+    return list(dict.fromkeys(names)) if len(_plane(drawn, facets, x, y)) > 1 else names[-1:]
+
+
+def _plane(drawn: AnyMap, facets: Sequence[str], x: str | None, y: str | None) -> list[str]:
+    """The parameters that a figure is drawn over, from left to right and upwards; one where a quantity is upwards."""
+    swept = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
+    if facets or not _has_runs(drawn):
+        if x is not None or y is not None:
+            raise PlotError(
+                "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or "
+                "else the first is x."
+            )
+        return swept
+    if x is None and y is not None:
+        raise PlotError("y goes with x, which is missing.")
+    if x is not None:
+        return [x] if y is None else [x, y]
+    coordinates = sorted((axis.parameter for axis in drawn.coordinates), key=lambda name: name not in USUAL)
+    return [*(name for name in swept if name != RUN), *coordinates][:2]
+
+
+def _has_runs(drawn: AnyMap) -> bool:
+    """Whether there are several runs, of a sample or of axes that are walked together."""
+    return any(axis.parameter == RUN and len(axis.values) > 1 for axis in drawn.axes)
 
 
 @styled()
@@ -122,7 +206,10 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
             f"A facet is an axis of several values, or two are rows and columns; these are {', '.join(changing)}."
         )
     axes = [changing[facet] for facet in facets]
-    values = [_evenly_spaced(np.sort(axis.values), MOST_VALUES[len(axes) - 1]) for axis in axes]
+    values = []
+    for axis in axes:
+        count = min(MOST_VALUES[len(axes) - 1], len(axis.values))
+        values.append(np.sort(axis.values)[np.rint(np.linspace(0, len(axis.values) - 1, count)).astype(np.intp)])
     places = list(product(*values))
     most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
     panels = [Layers.of(results.at(dict(zip(facets, place, strict=True))), 2, quantity, most) for place in places]
@@ -138,9 +225,109 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
     return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
 
 
-def _evenly_spaced(values: Floats, most: int) -> Floats:
-    """So many of these values at most, with the first and the last."""
-    return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(np.intp))]
+@styled()
+def strip(drawn: AnyMap, quantity: str = LABEL) -> Figure:
+    """The labels along one swept axis as a coloured strip over the curve of a quantity; the most likely ones of draws.
+
+    quantity : of labels how hard the impacts are
+
+    Raises PlotError unless one axis was swept and the quantity is defined in some cell.
+    """
+    layers = replace(Layers.of(drawn, 1, _upward(drawn, quantity)), notes=())
+    samples, values, (edges, codes) = layers.view.x.values, layers.values, layers.bands
+    assert values is not None
+    figure = new_figure()
+    band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
+    fills = (*layers.colours, FAILED_FILL)
+    for left, right, code in zip(edges[:-1], edges[1:], codes, strict=True):
+        band.axvspan(left, right, facecolor=fills[code], linewidth=0.0, zorder=1)
+    for edge in edges[1:-1]:
+        band.axvline(edge, color=INK, linewidth=0.9, zorder=2)
+        ax.axvline(edge, color=FAINT_INK, linewidth=0.6, linestyle=DASHED, zorder=1)
+    look = {"color": LINE_COLOURS[0], "markersize": min(3.0, 300.0 / samples.size), "clip_on": False, "zorder": 3}
+    for cells in np.split(np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1):
+        ax.plot(samples[cells], values[cells], "o-", **look)  # it jumps between regimes
+    scale_axis(ax, "x", layers.view.x)
+    ax.set_xlim(edges[0], edges[-1])
+    ax.set_ylabel(layers.value_label)
+    ax.axhline(0.0, color=INK, linewidth=0.8, zorder=2)
+    tidy(ax)
+    band.set_yticks([])
+    band.tick_params(bottom=False, labelbottom=False)
+    lay_out(figure, band, layers.title, layers.subtitle())
+    notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names))
+    if layers.boundaries is not None:
+        changes = [f"{value:.7g}" for value in layers.boundaries.vertices[:, 0]]
+        more = f" and {len(changes) - _LISTED} more" if len(changes) > _LISTED else ""
+        notes.append(remark(fill(f"the label changes at {', '.join(changes[:_LISTED])}{more}", _LINE)))
+    add_notes(figure, notes)
+    return figure
+
+
+@styled()
+def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Figure:
+    """Every run as a point over two parameters, in the colour of its label or of a quantity.
+
+    Without y the quantity is upwards, of labels how hard the impacts are, and each point in the colour of its label.
+
+    Raises PlotError where x or y is not swept, points would lie on each other, or the quantity is defined nowhere.
+    """
+    layers = regimes = Layers.of(results, 0, quantity if y is not None else _upward(results, quantity))
+    axes = _axes_of_points(results, [x] if y is None else [x, y])
+    figure = new_figure()
+    ax = figure.add_subplot()
+    for which, (axis, _) in zip("xy", axes, strict=False):
+        ax.set(**{f"{which}label": axis_label(axis)})
+    places = [values for _, values in axes]
+    if y is None:
+        assert layers.values is not None
+        places.append(layers.values)
+        ax.set_ylabel(layers.value_label)
+        regimes = Layers.of(results, 0)
+    shades = shades_of([layers]) if regimes.shaded else None
+    if shades is not None:
+        add_bar(figure, [ax], shades, layers)
+    colours = cell_colours(regimes, shades) / 255.0
+    order = np.argsort(~regimes.failed, kind="stable")  # failed ones are behind the others
+    across, upward = (values[order] for values in places)
+    size, is_cloud = max(2.0, 40.0 - 0.1 * order.size), order.size > MOST_POINTS
+    ax.scatter(across, upward, size, colours[order], edgecolors=INK, linewidths=0.2, rasterized=is_cloud)
+    ax.margins(0.03)
+    ax.grid(color="0.92", linewidth=0.6)
+    ax.set_axisbelow(True)
+    notes = notes_of(regimes, regimes.names)
+    lay_out(figure, ax, regimes.title, regimes.subtitle(f"{order.size:,} runs"), notes)
+    return figure
+
+
+def _upward(drawn: AnyMap, quantity: str) -> str:
+    """The quantity that a curve or points have upwards: of labels, which are its colours, how hard the impacts are."""
+    return hardness(drawn) if quantity_of(quantity, drawn).type == TEXT else quantity
+
+
+def _axes_of_points(results: Results, names: Sequence[str]) -> list[tuple[ResultAxis, Floats]]:
+    """The axis of each of one or two parameters, and its value in every cell, in C order.
+
+    Raises PlotError where one does not change, or cells that differ in a dimension that is not drawn would lie on each
+    other.
+    """
+    dimensions = [axis.parameter for axis in results.axes]
+    changing = {axis.parameter: axis for axis in (*results.parameters, *results.axes) if len(axis.values) > 1}
+    if len(set(names)) < len(names):
+        raise PlotError(f"x and y are both {names[0]}; name two parameters.")
+    for name in names:
+        if name not in changing:
+            raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
+    along = [name if name in dimensions else RUN for name in names]
+    shown = {*along, RUN} if len(names) == 1 else {*along}
+    if hidden := [name for name in map(dimensions.__getitem__, drawn_axes(results)) if name not in shown]:
+        raise PlotError(
+            f"Points that differ in {' and '.join(hidden)} would lie on each other: choose one value (--at), or draw a "
+            "map for each (--facet)."
+        )
+    cells = np.indices(results.shape)
+    places = [changing[name].values[cells[dimensions.index(at)]].ravel() for name, at in zip(names, along, strict=True)]
+    return [(changing[name], values) for name, values in zip(names, places, strict=True)]
 
 
 def shades_of(panels: Sequence[Layers]) -> ScalarMappable:

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from clunk.analysis.marks import thresholds_of
 from clunk.core.status import Status
-from clunk.plot.drawing import default_quantities, draw
-from clunk.plot.maps import MOST_VALUES
+from clunk.plot.maps import MOST_VALUES, default_quantities, draw
 from clunk.plot.plane import drawn_axes, surplus_axes
 from clunk.plot.style import styled
 from clunk.results.maps import Results, ToleranceMap

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
+Look = dict[str, Any]  # keyword arguments for matplotlib
+
 SIZE = (7.0, 5.2)  # inches
 MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
 _INDENT = 0.125  # of the width, at the left of a title until the figure is laid out
@@ -135,7 +137,7 @@ def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     if handles:
-        widest = max(len(str(handle.get_label())) for handle in handles)
+        widest = max(len(line) for handle in handles for line in str(handle.get_label()).splitlines())
         columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
         legend = figure.legend(
             handles=list(handles),

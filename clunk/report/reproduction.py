@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from clunk import plot
 from clunk.analysis.comparison import compare
-from clunk.plot import comparisons, histories
+from clunk.plot import analyses, histories
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import write_text
@@ -76,10 +76,10 @@ def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
     return {
         "figure_3_1": lambda: histories.history_figure([nominal], "angles"),
         "figure_3_2": lambda: histories.history_figure(all_runs, "backlash"),
-        "figure_3_3": lambda: histories.closeup(both),
+        "figure_3_3": lambda: histories.history_figure(both, "closeup"),
         "figure_3_4": lambda: plot.draw(maps["indentation"], "regimes", thresholds),
         "figure_3_4_restitution": lambda: plot.draw(maps["restitution"], "regimes", thresholds),
-        "figure_3_4_difference": lambda: comparisons.difference_map(maps["indentation"], between),
+        "figure_3_4_difference": lambda: analyses.difference_map(maps["indentation"], between),
         "figure_3_4_as_printed": lambda: plot.draw(maps["as_printed"], "regimes"),
         "figure_3_5": lambda: histories.small_gap(e.study.title, SmallGap.of(e.study)),
         "figure_3_6": lambda: histories.history_figure([run("indentation", until=1.5)], "acceleration"),
@@ -87,6 +87,6 @@ def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
         "figure_3_7_by_force": lambda: plot.draw(maps["by_force"], "severity"),
         "figure_3_7_velocity": lambda: plot.draw(maps["indentation"], "approach_velocity"),
         "figure_3_7_velocity_restitution": lambda: plot.draw(maps["restitution"], "approach_velocity"),
-        "table_4_1": lambda: comparisons.experiment_map(maps["indentation"], e.measured),
-        "table_4_1_fitted": lambda: comparisons.measured_on_maps(e.fitted),
+        "table_4_1": lambda: analyses.experiment_map(maps["indentation"], e.measured),
+        "table_4_1_fitted": lambda: analyses.measured_on_maps(e.fitted),
     }

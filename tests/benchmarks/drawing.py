@@ -45,7 +45,7 @@ def draw(path: Path, quantity: str) -> dict[str, float]:
     """Seconds of processor time to draw and to save one picture, and the most memory by then  [s, MiB]."""
     from clunk import plot
     from clunk.analysis.marks import thresholds_of
-    from clunk.plot import drawing  # noqa: F401  what is imported is not counted
+    from clunk.plot import maps  # noqa: F401  what is imported is not counted
     from clunk.results.store import read_map
 
     results = read_map(path)
