@@ -13,7 +13,7 @@ from helpers import reference
 from clunk.report import claims, reproduction
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import Evidence, run_maps
-from clunk.simulation.linear import (
+from clunk.simulation.small_gap import (
     one_mode_thresholds,
     periods_in_envelope,
     rigid_contact_thresholds,

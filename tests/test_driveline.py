@@ -6,7 +6,7 @@ from helpers import reference
 from helpers.starts import started
 
 from clunk.simulation.driveline import Driveline
-from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
+from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError

@@ -18,7 +18,7 @@ from clunk.plot.maps import scatter
 from clunk.plot.page import page
 from clunk.plot.style import MOST_POINTS, save
 from clunk.results import store
-from clunk.simulation.linear import rigid_contact_thresholds
+from clunk.simulation.small_gap import rigid_contact_thresholds
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.config import load_study
 

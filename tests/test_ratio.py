@@ -11,8 +11,8 @@ from clunk.core.events import KIND_NAMES, LOCK
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
-from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.shapes import shuffle_mode
+from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values

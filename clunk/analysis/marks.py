@@ -3,7 +3,7 @@
 import numpy as np
 
 from clunk.results.maps import Map
-from clunk.simulation.linear import rigid_contact_thresholds, thresholds_on
+from clunk.simulation.small_gap import rigid_contact_thresholds, thresholds_on
 from clunk.study.arrays import Floats
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values

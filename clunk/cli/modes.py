@@ -29,8 +29,8 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """
     from clunk.core.status import Status
     from clunk.simulation.driveline import explained, steady_driveline, steady_stages, steps_a_period
-    from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
     from clunk.simulation.shapes import shuffle_mode
+    from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
     from clunk.study.config import load_study
 
     study = load_study(config, overrides)

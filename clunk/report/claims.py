@@ -19,8 +19,8 @@ from clunk.report.evidence import CONTACTS, NOMINAL_RATIO, RATIOS, Evidence, acc
 from clunk.results.labels import double_sided
 from clunk.results.maps import Results
 from clunk.simulation.driveline import Driveline, Modes
-from clunk.simulation.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.load import load_step
+from clunk.simulation.small_gap import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats
 from clunk.study.records import Record, told

@@ -15,8 +15,7 @@ from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import write_text
 from clunk.results.store import write_results
 from clunk.simulation.history import History, sample
-from clunk.simulation.linear import rigid_contact_thresholds
-from clunk.simulation.small_gap import SmallGap
+from clunk.simulation.small_gap import SmallGap, rigid_contact_thresholds
 from clunk.study.document import read_text
 from clunk.study.errors import ClunkError
 from clunk.study.records import plain

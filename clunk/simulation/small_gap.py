@@ -1,19 +1,32 @@
-"""The response of a driveline as its backlash vanishes (report §3.1, Figure 3.5)."""
+"""The linear view of vanishing backlash: the response, and how many impacts a load ratio brings (report §3.1 and 3.2).
+
+As the gap vanishes, the lash stays closed, and an impact is a change of sign of the torque it carries (Figure 3.5,
+Table 3.1). That torque is Ts (1 + σr f(t)) times what reaches the lash, with f(t) the response to the released torque,
+f(0) = 1. It is on the other flank while f < -1/σr, so that every excursion of f below that level is one more crossing
+and back. With the lowest mode alone f = exp(-ζ1 ω t) cos ω t, and each of its minima adds one.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from clunk.core.reductions import constrained, without_drift
 from clunk.core.regimes import alone
 from clunk.core.status import Status
-from clunk.core.tables import TORQUE
+from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline, build, explained
 from clunk.simulation.load import run_inputs
 from clunk.simulation.measures import torque_across
 from clunk.simulation.phases import preload, regimes_of, states
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
+from clunk.study.loads import is_ideal_step
 from clunk.study.study import Study
+
+_SAMPLES = 128  # a period of the fastest mode that matters: parabolas through three give an extreme to 1e-7
+_FAINTEST = 1e-3  # of the first swing: thresholds beyond σr = 1000 are nobody's load ratio
+_MOST_SAMPLES = 500_000  # 4000 periods of the fastest mode
 
 
 class SmallGap(NamedTuple):
@@ -74,3 +87,114 @@ class SmallGap(NamedTuple):
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time
         return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)
+
+
+def periods_in_envelope(study: Study, ratio: float) -> float:
+    """n_c, how many periods the envelope of the lowest mode stays above the static torque.
+
+    n_c = ln(σr) / (2π ζ1) (report Eq. 3.1, where 2π is missing); NaN where nothing oscillates.
+    """
+    damping_ratio = _lowest_damping_ratio(study)
+    if damping_ratio is None or ratio <= 0.0:
+        return float("nan")
+    return float(np.log(ratio) / (2.0 * np.pi * damping_ratio))
+
+
+def one_mode_thresholds(study: Study, count: int = 4) -> Floats:
+    """Load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
+
+    σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Table 3.1). Empty for a driveline that does not oscillate.
+    """
+    damping_ratio = _lowest_damping_ratio(study)
+    if damping_ratio is None:
+        return np.empty(0)
+    return np.asarray(np.exp(2.0 * np.pi * damping_ratio * (np.arange(1, count + 1) - 0.5)), np.float64)
+
+
+def _lowest_damping_ratio(study: Study) -> float | None:
+    """ζ1 of the closed lash; None where nothing oscillates, or no one mode does for shafts with stages."""
+    driveline = Driveline.from_study(study)
+    ratios = np.empty(0) if driveline.staged else driveline.modes(closed=True).damping_ratio
+    return float(ratios[0]) if ratios.size else None
+
+
+def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
+    """Load ratios at which one more impact appears, by all modes of the locked chain; fewer where f has fewer.
+
+    Empty without a static torque across the lash or an eigenbasis to speak of, and for shafts with stages.
+    """
+    contact = study.lashes[0].contact.model_copy(update={"model": "restitution"})
+    shafts = tuple(shaft.model_copy(update={"friction": 0.0}) for shaft in study.driveline.shafts)
+    line = study.driveline.model_copy(update={"shafts": shafts})  # linear: friction is none
+    lash = study.lashes[0].model_copy(update={"contact": contact})
+    system = build(study.model_copy(update={"lash": lash, "driveline": line}))
+    carried = system.contact_torque[0, 0, TORQUE]
+    if carried == 0.0 or len(system.preload) > 1:
+        return np.empty(0)
+    lashes = system.lashes[:, system.inertias : 2 * system.inertias]
+    expand, pick, _ = without_drift(constrained(lashes, [1]), system.drift)
+    rates, right = np.linalg.eig(pick @ system.rates[1] @ expand)
+    if rates.size == 0 or np.linalg.cond(right) > 1e10:
+        return np.empty(0)
+    start = np.linalg.solve(right, pick @ system.preload[0, :, TORQUE])
+    # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
+    amplitudes = (system.functionals[1, FORCE] @ expand @ right) * start / carried
+    felt = np.abs(amplitudes) > 1e-12
+    return levels_of_excursions(_extremes(rates[felt], amplitudes[felt]), count)
+
+
+def _extremes(rates: npt.NDArray[np.complex128], amplitudes: npt.NDArray[np.complex128]) -> Floats:
+    """Minima and maxima of f = Re sum of amplitude · exp(rate t) in turn, a minimum first, until it is too faint."""
+    fastest = float(np.max(np.abs(rates.imag), initial=0.0))
+    if fastest == 0.0:
+        return np.empty(0)
+    step, slowest = 2.0 * np.pi / fastest / _SAMPLES, float(-rates.real.max())
+    lasting = np.log(np.abs(amplitudes).sum() / _FAINTEST) / slowest if slowest > 0.0 else np.inf
+    time = step * np.arange(int(min(lasting / step, _MOST_SAMPLES)) + 2)
+    f = np.zeros(time.size)
+    for rate, amplitude in zip(rates, amplitudes, strict=True):
+        f += (amplitude * np.exp(rate * time)).real
+    rising = np.diff(f) > 0.0
+    turns = np.flatnonzero(rising[1:] != rising[:-1]) + 1
+    swing = f[turns + 1] - f[turns - 1]
+    values: Floats = f[turns] - swing**2 / (8.0 * (f[turns + 1] - 2.0 * f[turns] + f[turns - 1]))
+    return values[1:] if values.size > 1 and values[0] > values[1] else values
+
+
+def levels_of_excursions(extremes: Floats, count: int) -> Floats:
+    """The σr from which on f has 1, 2, … `count` separate excursions below -1/σr; fewer where f has fewer.
+
+    Two dips are one excursion while f does not rise above the level between them. As the level rises from the deepest
+    minimum, an excursion begins at each minimum, and two become one at each maximum between them.
+
+    Parameters
+    ----------
+    extremes : (m,) float64
+        Minima and maxima of f in turn, a minimum first.
+    """
+    minima, between = extremes[0::2], extremes[1::2]
+    levels: list[float] = []
+    for level in np.sort(minima[minima < 0.0]):
+        below = minima <= level
+        joined = below[:-1] & below[1:] & (between[: minima.size - 1] <= level)
+        excursions = int(below.sum()) - int(joined.sum())
+        while len(levels) < min(excursions, count):
+            levels.append(-1.0 / level)
+    return np.array(levels, dtype=np.float64)
+
+
+def thresholds_on(study: Study, parameter: str, ratios: Floats) -> Floats:
+    """Threshold load ratios as values of a swept torque of an ideal step; empty for any other parameter or load.
+
+    σr is (T before - T after) / T after, whichever of the two torques is swept.
+    """
+    load = study.load
+    if not is_ideal_step(load):
+        return np.empty(0)
+    if parameter == "load.ratio":
+        return ratios
+    if parameter == "load.initial_torque" and load.final_torque:
+        return (1.0 + ratios) * load.final_torque
+    if parameter == "load.final_torque" and load.initial_torque:
+        return load.initial_torque / (1.0 + ratios)
+    return np.empty(0)
