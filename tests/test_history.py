@@ -133,29 +133,9 @@ def test_complete_run_goes_on_to_rest():
     assert sampled.angle[-1, 3] == pytest.approx(-1.0 / 31.3, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"step": 0.0}, "step must be a positive number of seconds, not 0"),
-        ({"step": -1e-4}, "step must be a positive number"),
-        ({"step": float("nan")}, "step must be a positive number"),
-        ({"until": -0.5}, "starts at 0 s cannot end at -0.5 s"),
-        ({"until": float("inf")}, "cannot end at inf"),
-        ({"step": 1e-8}, "10,000,000 is the limit"),
-    ],
-)
-def test_impossible_samples_are_refused_in_one_sentence(options, sentence):
-    with pytest.raises(ClunkError, match=sentence) as error:
-        sample(run(), **options)
-    assert str(error.value).endswith(".")
-
-
-def test_run_that_may_go_on_is_not_sampled_beyond_its_end():
-    trajectory = run("gap", "solver.end_time=0.3")
-    assert not trajectory.complete
-    assert sample(trajectory).time[-1] == pytest.approx(0.4)
-    with pytest.raises(ClunkError, match=r"ends at 0.4 s and more may follow; to go on until 1 s, raise solver.end_t"):
-        sample(trajectory, until=1.0)
+def test_too_many_samples_are_refused_in_one_sentence():
+    with pytest.raises(ClunkError, match=r"10,000,000 is the limit.*\.$"):
+        sample(run(), step=1e-8)
 
 
 # --- Files

@@ -194,7 +194,13 @@ def sample(
     inputs_before, load = run_load(study)
     step = study.solver.step if step is None else step
     until = study.load.step_time + study.solver.end_time if until is None else until
-    begin, end = _span(trajectory, step, until)
+    begin, end = -study.load.step_time, until - study.load.step_time
+    count = (end - begin) / step + 2.0 * trajectory.events.size
+    if count > LARGEST:
+        raise ClunkError(
+            f"A step of {step:g} s until {until:g} s makes {count:.3g} samples, and {LARGEST:,} is the limit; choose a "
+            "larger step or a shorter time."
+        )
 
     line, motion = Driveline.from_study(study), _Motion(trajectory, system, load, inputs_before, step)
     gains = line.rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
@@ -307,36 +313,13 @@ class _Motion:
                 parts.append(states(flow, x, within[0] * step - begin, step, within.size))
             if begin < until:
                 times.append(np.array([until]))
-                before_event = _state_before(self._trajectory, self._system, k + 1) if until == stop else x[:0]
-                if before_event.size < x.size:
-                    x = states(flow, x, until - begin, step, 1)[0]
-                x = np.concatenate([before_event, x[before_event.size :]])
+                x = states(flow, x, until - begin, step, 1)[0]
+                if until == stop and not (self._system.impulsive and phases["kind"][k + 1] == TOUCH):
+                    recorded = self._trajectory.phase_states[k + 1]
+                    x[: recorded.size] = recorded
                 parts.append(x[None])
             yield _Phase(np.concatenate(times), np.concatenate(parts), regime, piece, event)
             event = -1
-
-
-def _span(trajectory: Trajectory, step: float, until: float) -> tuple[float, float]:
-    """Begin and end of a history  [s after the load step]."""
-    if not (np.isfinite(step) and step > 0.0):
-        raise ClunkError(f"The output step must be a positive number of seconds, not {step:g}.")
-    step_time = trajectory.study.load.step_time
-    begin, end = -step_time, until - step_time
-    if not np.isfinite(until) or end < begin:
-        raise ClunkError(f"A history that starts at 0 s cannot end at {until:g} s.")
-    limit = max(trajectory.end, trajectory.study.solver.end_time)
-    if not trajectory.complete and end > limit * (1.0 + 1e-9):
-        raise ClunkError(
-            f"The run ends at {step_time + limit:g} s and more may follow; to go on until {until:g} s, raise "
-            "solver.end_time."
-        )
-    count = (end - begin) / step + 2.0 * trajectory.events.size
-    if count > LARGEST:
-        raise ClunkError(
-            f"A step of {step:g} s from {step_time + begin:g} s to {until:g} s makes {count:.3g} samples, and "
-            f"{LARGEST:,} is the limit; choose a larger step or a shorter time."
-        )
-    return begin, end
 
 
 def _grid(start: float, stop: float, step: float) -> Integers:
@@ -344,15 +327,3 @@ def _grid(start: float, stop: float, step: float) -> Integers:
     first = int(np.floor(start / step + _NEAR)) + 1
     last = int(np.ceil(stop / step - _NEAR)) - 1
     return np.arange(first, last + 1)
-
-
-def _state_before(trajectory: Trajectory, system: System, k: int) -> Floats:
-    """The state just before phase `k`: the recorded one, but for the impulse of a touch in the restitution model."""
-    x = trajectory.phase_states[k]
-    event = trajectory.phases[k]
-    if not system.impulsive or event["kind"] != TOUCH:
-        return np.asarray(x)
-    closed = system.contacts["closed"][event["regime"]]
-    impulse = system.impulse[closed @ (1 << np.arange(closed.size)), event["lash"], : x.size]
-    lash = system.lashes[event["lash"], : x.size]
-    return np.asarray(x + (event["speed"] - lash @ x) * impulse)

@@ -9,7 +9,6 @@ import numpy as np
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, STAGE, TOUCH
 from clunk.core.exact.run import MOST
-from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
@@ -235,7 +234,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
         is_event = phases["kind"] != STAGE
         stages = np.count_nonzero(~is_event)
         if len(phases) - stages > study.solver.max_events + 1 or stages > switching.MOST_STAGES:
-            raise ClunkError(f"{_sentence(study, Status.EVENT_BUFFER_FULL)} {_repeating(study, system, phases)}")
+            raise ClunkError(f"{_sentence(study, Status.EVENT_BUFFER_FULL)} {_repeating(study, phases)}")
         room *= tile.MORE
     if status != Status.OK:
         raise ClunkError(_sentence(study, status))
@@ -263,18 +262,13 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
     )
 
 
-def _repeating(study: Study, system: System, phases: Records) -> str:
+def _repeating(study: Study, phases: Records) -> str:
     """Sentence on what happens most often at the end of a run that has too many events or changes of stage."""
-    line, last, strides = driveline.Driveline.from_study(study), phases[-_LAST:], system.regime_strides
-    names = [f"touches and separations of {name}" for name in study.lash_names]
-    names += [f"changes of stage of shaft {k + 1}" for k, _ in line.staged]
-    names += [f"the sticking and slipping of shaft {np.flatnonzero(shares)[0] + 1}" for _, shares in line.frictions]
-    states = last["regime"][:, None] % strides[1:] // strides[:-1]
-    changed = np.nonzero(np.diff(states, axis=0))[1]
-    of_lashes, lashes = last["lash"][last["lash"] >= 0], len(study.lashes)
-    element, times = Counter([*of_lashes.tolist(), *changed[changed >= lashes].tolist()]).most_common(1)[0]
+    last = phases[-_LAST:]
+    lash, times = Counter(last["lash"].tolist()).most_common(1)[0]
+    what = f"touches and separations of {study.lash_names[lash]}" if lash >= 0 else "changes of stage or of what sticks"
     begin, end = (f"{time:.9g}" for time in last["time"][[0, -1]])
-    return f"Of the last {len(last):,}, from {begin} to {end} s after the load step, {times:,} are {names[element]}."
+    return f"Of the last {len(last):,}, from {begin} to {end} s after the load step, {times:,} are {what}."
 
 
 def _sentence(study: Study, status: Status) -> str:
