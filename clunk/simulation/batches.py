@@ -100,7 +100,7 @@ def _prepare_alike(
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:
     """The batches of drivelines with other numbers than a study's: of the exact method as few as there may be."""
     exact, steps = study.solver.method == "exact", line.varied.get(("solver", "step"))
-    system, flows = prepare(study, line) if exact else (build(study, line, waves=True), None)
+    system, flows = prepare(study, line) if exact else (build(study, line), None)
     each = Each._make(getattr(system, name) for name in Each._fields)
     channels = channels_of(study, line, system, each) if study.measured else None
     shapes = np.arange(len(each.rates))[:, None]

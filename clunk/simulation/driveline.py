@@ -237,11 +237,10 @@ def prepare(study: Study, driveline: Driveline | None = None) -> tuple[System, S
     driveline : with other numbers than the study's; a batch makes a batch of systems and tables, by the exact method
     """
     driveline = driveline or Driveline.from_study(study)
-    if study.solver.method == "exact":  # to which a ramp is an input
-        rates = wave_rates(study.load, driveline.varied)
-        system = _build(study, driveline, rates, ramps=rates is None and is_moving(study.load))
+    if study.solver.method == "exact":
+        system = build(study, driveline, ramps=True)
         return system, _flows(study, driveline, system)
-    return with_steps(build(study, driveline, waves=True), study.solver.step)
+    return with_steps(build(study, driveline), study.solver.step)
 
 
 def with_steps(system: System, step: float) -> tuple[System, Steps]:
@@ -270,16 +269,15 @@ def explained(study: Study, status: Status) -> str:
     return rigid.separate_part(driveline.rigid_motion, driveline.load, driveline.names)
 
 
-def build(study: Study, driveline: Driveline | None = None, *, waves: bool = False) -> System:
-    """The switched linear system of a study; with the states of its load's wave, as RK4 has them, if that moves.
+def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = False) -> System:
+    """The switched linear system of a study, with two states more for the wave of a load that has one.
 
     driveline : with other numbers than the study's, or a batch
+    ramps : whether a torque that rises at a constant rate is an input, as for the exact method, and no wave
     """
     driveline = driveline or Driveline.from_study(study)
-    return _build(study, driveline, _wave_rates(study, driveline) if waves else None)
-
-
-def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = None, *, ramps: bool = False) -> System:
+    rates = wave_rates(study.load, driveline.varied)
+    is_ramp = rates is None and is_moving(study.load)
     return build_system(
         inertia=driveline.inertia,
         damping=driveline.damping,
@@ -288,8 +286,8 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
         lashes=[_core_lash(study, driveline, k) for k in range(len(study.lashes))],
         end_time=driveline.varied.get(("solver", "end_time"), study.solver.end_time),
         rigid=driveline.rigid_motion,
-        wave_rates=wave_rates,
-        ramps=ramps,
+        wave_rates=np.array([[0.0, 1.0], [0.0, 0.0]]) if is_ramp and not ramps else rates,
+        ramps=is_ramp and ramps,
         staged=[shaft for _, shaft in driveline.staged],
         frictions=[friction for friction, _ in driveline.frictions],
     )
@@ -312,12 +310,6 @@ def _core_lash(study: Study, driveline: Driveline, k: int) -> tables.Lash:
         restitution=varied.get((*place, "restitution"), contact.restitution) if restitution else None,
         locking_speed=varied.get((*place, "locking_speed"), contact.locking_speed),
     )
-
-
-def _wave_rates(study: Study, driveline: Driveline) -> FloatArray | None:
-    """S of the load's wave, which may be a ramp; None where the load moves by jumps only."""
-    rates = wave_rates(study.load, driveline.varied)
-    return np.array([[0.0, 1.0], [0.0, 0.0]]) if rates is None and is_moving(study.load) else rates
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
@@ -373,7 +365,7 @@ def steady_stages(study: Study) -> dict[int, int]:
     driveline = Driveline.from_study(study)
     if not driveline.staged:
         return {}
-    system = _build(study, driveline)
+    system = build(study, driveline)
     rest = preload(system, run_load(study)[0])
     stages = stages_of([shaft for _, shaft in driveline.staged])[
         rest.regime // int(system.regime_strides[len(driveline.lashes)])

@@ -102,7 +102,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     A term beyond the range of numbers is infinite or NaN.
     """
     study, events, states = trajectory.study, trajectory.phases, trajectory.phase_states
-    line, system = Driveline.from_study(study), build(study, waves=True)
+    line, system = Driveline.from_study(study), build(study)
     n, impulsive = line.inertia.size, bool(system.impulsive)
     before, load = run_load(study)
     half_gaps = before[[half_gap_of(lash) for lash in range(len(line.lashes))]]

@@ -190,7 +190,7 @@ def sample(
     ------
     ClunkError
     """
-    study, system = trajectory.study, build(trajectory.study, waves=True)
+    study, system = trajectory.study, build(trajectory.study)
     inputs_before, load = run_load(study)
     step = study.solver.step if step is None else step
     until = study.load.step_time + study.solver.end_time if until is None else until

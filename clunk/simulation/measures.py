@@ -128,7 +128,7 @@ def _row(
 
 def measured(trajectory: Trajectory) -> Measures:
     """Measures of one run: of the primary impacts of its lash, and those of its config."""
-    study, system, phases = trajectory.study, build(trajectory.study, waves=True), trajectory.phases
+    study, system, phases = trajectory.study, build(trajectory.study), trajectory.phases
     channels = channels_of(study, Driveline.from_study(study), system, alone(system), of_impacts=True)
     before, load = run_load(study)
     cells = np.zeros((1, len(study.lashes)), CELL)

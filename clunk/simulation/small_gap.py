@@ -131,14 +131,14 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     carried = system.contact_torque[0, 0, TORQUE]
     if carried == 0.0 or len(system.preload) > 1:
         return np.empty(0)
-    lashes = system.lashes[:, system.inertias : 2 * system.inertias]
-    expand, pick, _ = without_drift(constrained(lashes, [1]), system.drift)
-    rates, right = np.linalg.eig(pick @ system.rates[1] @ expand)
+    size = 2 * system.inertias  # without the load's wave
+    expand, pick, _ = without_drift(constrained(system.lashes[:, system.inertias : size], [1]), system.drift)
+    rates, right = np.linalg.eig(pick @ system.rates[1, :size, :size] @ expand)
     if rates.size == 0 or np.linalg.cond(right) > 1e10:
         return np.empty(0)
-    start = np.linalg.solve(right, pick @ system.preload[0, :, TORQUE])
+    start = np.linalg.solve(right, pick @ system.preload[0, :size, TORQUE])
     # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
-    amplitudes = (system.functionals[1, FORCE] @ expand @ right) * start / carried
+    amplitudes = (system.functionals[1, FORCE, :size] @ expand @ right) * start / carried
     felt = np.abs(amplitudes) > 1e-12
     return levels_of_excursions(_extremes(rates[felt], amplitudes[felt]), count)
 
