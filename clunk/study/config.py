@@ -124,7 +124,7 @@ def study_from_text(
         document["driveline"].pop("preset", None)
     findings += _fill_in(document, assigned)
     _number_free_keys(document)
-    study, wrong = validated(Study, with_tuples(document), document.get("driveline"))
+    study, wrong = validated(Study, with_tuples(document))
     findings += wrong
     if study is not None and not findings and not malformed:
         of_file = raw.get("load", {}) if ("load", "profile") not in assignments else {}

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from clunk.study.document import Place, dotted
+from clunk.study.document import Place, dotted, value_at
 from clunk.study.errors import listing, nearest, shorten
 from clunk.study.models import Config
 from clunk.study.tables import ONE, SEVERAL, Finding, Quantity
@@ -178,14 +178,13 @@ def _leaf(node: Mapping[str, Any]) -> Key:
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def validated(model: type[Model], table: Any, driveline: Any = None) -> tuple[Model | None, list[Finding]]:
+def validated(model: type[Model], table: Any) -> tuple[Model | None, list[Finding]]:
     """Validate the tables of a config: their model, or what is wrong with them.
 
-    table : with tuples for lists, see `with_tuples`
-    driveline : the table of the inertias and their names, by which other tables may refer to them
+    table : with tuples for lists, see `with_tuples`; its table of inertias and their names is what others refer to
     """
     try:
-        return model.model_validate(table, context=driveline), []
+        return model.model_validate(table, context=value_at(table, ("driveline",))), []
     except ValidationError as error:
         errors = [(*_place(detail["loc"]), detail) for detail in error.errors(include_url=False)]
     unknown = {place: _likely_key(place) for place, _, detail in errors if detail["type"] == "extra_forbidden"}

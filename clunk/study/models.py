@@ -130,7 +130,11 @@ class DrivelineConfig(Table):
     shafts: tuple[Shaft, ...]
 
     def contradictions(self) -> Iterator[Finding]:
-        """Require names that differ from each other, from numbers and from ground."""
+        """Require a name for each inertia or for none, which differ from each other, from numbers and from ground."""
+        count, names = len(self.inertias), self.names
+        if names is not None and len(names) != count:
+            text = f"found {len(names)} names for {count} inertias; give each its name, or leave names out"
+            yield ("names",), text
         yield from ((("names", k), text) for k, text in misnamed(self.names or (), "inertia"))
         shafts = [shaft.name for shaft in self.shafts]
         yield from ((("shafts", k, "name"), text) for k, text in misnamed(shafts, "shaft"))
@@ -294,15 +298,6 @@ class Fit(Table):
     wrong_labels: Annotated[float, Field(gt=0, lt=1)] = 0.1
     scatter: Positive = 0.2
 
-    def contradictions(self) -> Iterator[Finding]:
-        """Require that no two entries draw the same number."""
-        taken: dict[tuple[str, str], int] = {}
-        for k, entry in enumerate(self.parameters):
-            first = taken.setdefault((entry.parameter, entry.draws), k)
-            if first != k:
-                text = f"{entry.parameter} ({entry.draws}) is fitted by fit.parameters[{first + 1}] already"
-                yield ("parameters", k, "parameter"), text
-
 
 class FreeParameter(Table):
     """A number that is searched from low to high, in its key's unit.
@@ -343,15 +338,6 @@ class Optimize(Table):
     robust: Annotated[float | None, Field(gt=0, le=1)] = None
     seed: Annotated[int, Field(ge=0)] = 0
     parameters: Annotated[tuple[FreeParameter, ...], Field(min_length=1)]
-
-    def contradictions(self) -> Iterator[Finding]:
-        """Require that no key is free twice."""
-        taken: dict[str, int] = {}
-        for k, each in enumerate(self.parameters):
-            for key in each.keys:
-                if taken.setdefault(key, k) != k:
-                    text = f"{key} is free as optimize.parameters[{taken[key] + 1}] already"
-                    yield ("parameters", k, "parameter"), text
 
 
 class Config(Table):

@@ -5,7 +5,7 @@ draws, fit and optimisation give to keys, one key and two keys at a time.
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import chain, combinations, product
 from typing import Any, NamedTuple
 
@@ -17,10 +17,10 @@ from clunk.study.document import Place, dotted, with_value
 from clunk.study.errors import listing, shorten
 from clunk.study.keys import validated
 from clunk.study.loads import PROFILES, TORQUES, Load, uses
-from clunk.study.models import NOT_OF_A_RUN, OF_IMPACTS, Config, Part, part_of
+from clunk.study.models import NOT_OF_A_RUN, OF_IMPACTS, Config, FreeParameter, Part, part_of
 from clunk.study.parameters import complaint, located, plain_number
-from clunk.study.sweeps import Axis, Draw
-from clunk.study.tables import Finding, allowed_inertias, misnamed
+from clunk.study.sweeps import Draw
+from clunk.study.tables import Finding, misnamed
 
 # Names in results files, and words for what is drawn or compared, that no measure can have
 _TAKEN = {
@@ -29,6 +29,14 @@ _TAKEN = {
     *(*OF_IMPACTS, *(f"impact_{name}" for name in OF_IMPACTS)),
     *("regimes", "label", "double_sided", "chatter", "nominal_label", "run", "impact", "lash"),
 }
+# Tables of what is swept, drawn, fitted and free, with how they are told
+_VARIED: tuple[tuple[tuple[str, str], str], ...] = (
+    (("sweep", "axes"), "swept by"),
+    (("sweep", "samples"), "drawn by"),
+    (("sweep", "tolerances"), "drawn by"),
+    (("fit", "parameters"), "fitted by"),
+    (("optimize", "parameters"), "free as"),
+)
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
 MOST_REGIMES = 30_000  # of one driveline, which take some 5 s to prepare
@@ -38,13 +46,13 @@ FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing t
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; values of swept and drawn keys are only looked at where nothing is wrong."""
-    rules = (_of_a_run, _swept, _fitted, _optimised, _measured)
+    rules = (_of_a_run, _varied, _measured)
     return [finding for rule in rules for finding in rule(config)] or list(_reached(config))
 
 
 def _of_a_run(config: Config) -> Iterator[Finding]:
     """Findings of the rules that each run must keep."""
-    for rule in (_inertias, _lashes, _regimes, _steps, _sizes):
+    for rule in (_lashes, _regimes, _steps, _sizes):
         yield from rule(config)
 
 
@@ -68,28 +76,7 @@ def _unsweepable(parameter: str, config: Config) -> str | None:
     return complaint(parameter, config.model_dump(exclude=NOT_OF_A_RUN)) or load_complaint(parameter, config)
 
 
-# --- Inertias, steps, sizes ------------------------------------------------------------------------------------------
-
-
-def _inertias(config: Config) -> Iterator[Finding]:
-    """Require a name for each inertia or for none, and that shafts, lash, load and severity refer to inertias."""
-    pairs: list[tuple[Place, tuple[int | str, ...]]] = [
-        ((*place, "between"), lash.between) for place, lash in zip(config.lash_places, config.lashes, strict=True)
-    ]
-    pairs += [(("driveline", "shafts", k, "between"), s.between) for k, s in enumerate(config.driveline.shafts)]
-    references: list[tuple[Place, int | str | None, bool]] = [
-        ((*place, k), end, True) for place, ends in pairs for k, end in enumerate(ends)
-    ]
-    references.append((("load", "on"), config.load.on, False))
-    references.append((("impacts", "acceleration_of"), config.impacts.acceleration_of, False))
-    count, names = len(config.driveline.inertias), config.driveline.names
-    if names is not None and len(names) != count:
-        text = f"found {len(names)} names for {count} inertias; give each its name, or leave names out"
-        yield ("driveline", "names"), text
-    for place, number, ground in references:
-        if isinstance(number, int) and not 1 <= number <= count:
-            allowed = allowed_inertias(count, names or (), ground)
-            yield place, f"there is no inertia {shorten(number)}; must be {allowed}"
+# --- Lashes, steps, sizes --------------------------------------------------------------------------------------------
 
 
 def _lashes(config: Config) -> Iterator[Finding]:
@@ -149,42 +136,29 @@ def _sizes(config: Config) -> Iterator[Finding]:
     dampers: list[Size] = []
     for k, shaft in enumerate(config.driveline.shafts):
         at: Place = ("driveline", "shafts", k)
-        gear = abs(shaft.ratio), (*at, "ratio")
-        stiffness: Place = (*at, "stiffness")
-        places = [(*stiffness, n) for n in range(len(shaft.stages))] if len(shaft.stages) > 1 else [stiffness]
-        for sizes, joints in (
-            (springs, zip(shaft.stages, places, strict=True)),
-            (dampers, [(shaft.damping, (*at, "damping"))]),
-        ):
-            sizes += [size for joint in joints if joint[0] > 0.0 for size in (joint, _levered(joint, gear))]
+        for lever in (1.0, shaft.ratio**2):
+            springs += [(lever * stiffness, (*at, "stiffness")) for stiffness in shaft.stages]
+            dampers.append((lever * shaft.damping, (*at, "damping")))
     for at, lash in zip(config.lash_places, config.lashes, strict=True):
-        radius, gear = (lash.radius, (*at, "radius")), (abs(lash.ratio), (*at, "ratio"))
-        for sizes, key in ((springs, "stiffness"), (dampers, "damping")):
-            if number := getattr(lash.contact, key):
-                contact = _levered((number, (*at, "contact", key)), radius)
-                sizes += [contact, _levered(contact, gear)]
-    for sizes, unit in ((masses, "kg m2"), (springs, "N m/rad")):
+        for lever in (lash.radius**2, (lash.radius * lash.ratio) ** 2):
+            springs.append((lever * (lash.contact.stiffness or 0.0), (*at, "contact", "stiffness")))
+            dampers.append((lever * (lash.contact.damping or 0.0), (*at, "contact", "damping")))
+    for sizes, unit in ((masses, "kg m2"), ([spring for spring in springs if spring[0] > 0.0], "N m/rad")):
         (smallest, at_smallest), (largest, at_largest) = min(sizes, default=(1.0, ())), max(sizes, default=(1.0, ()))
         if largest > WIDEST_SPREAD * smallest:
+            text = f"{largest:g} {unit} here (with ratio and radius) and {smallest:g} {unit} at {dotted(at_smallest)}"
             yield (
                 at_largest,
-                f"{largest:g} {unit} here and {smallest:g} {unit} at {dotted(at_smallest)} are more than a factor of "
-                f"{WIDEST_SPREAD:g} apart; the smaller one is lost in rounding",
+                f"{text} are more than a factor of {WIDEST_SPREAD:g} apart; the smaller is lost in rounding",
             )
             return
     lightest, at_lightest = min(masses)
     for sizes, power, unit in ((springs, 0.5, "N m/rad"), (dampers, 1.0, "N m s/rad")):
-        largest, at_largest = max(sizes, default=(0.0, ()))
+        largest, at_largest = max(sizes)
         rate = (largest / lightest) ** power
         if rate > FASTEST_RATE:
             text = f"{largest:g} {unit} on the {lightest:g} kg m2 of {dotted(at_lightest)} is a rate of {rate:.2g} 1/s"
             yield at_largest, f"{text}; at most {FASTEST_RATE:g} 1/s is allowed"
-
-
-def _levered(joint: Size, lever: Size) -> Size:
-    """A radius or a gear ratio, squared, times a stiffness or damping, at the place of whichever is further from 1."""
-    (size, at), (length, at_lever) = joint, lever
-    return length**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(length)) else at_lever
 
 
 # --- Measures --------------------------------------------------------------------------------------------------------
@@ -216,90 +190,87 @@ def _measured(config: Config) -> Iterator[Finding]:
             yield (*place, "quantity"), f"{text}; twists and shaft torques stay finite"
 
 
-# --- Swept and drawn keys --------------------------------------------------------------------------------------------
+# --- Swept, drawn, fitted and free keys ------------------------------------------------------------------------------
 
 
-def _swept(config: Config) -> Iterator[Finding]:
-    """Require that a swept or drawn key is a parameter, in one place only."""
-    if config.sweep is None:
-        return
-    swept: dict[str, Place] = {}
-    drawn: dict[str, Place] = {}
-    for name, taken, verb in (("axes", swept, "swept"), ("samples", drawn, "drawn"), ("tolerances", drawn, "drawn")):
-        entries = getattr(config.sweep, name)
-        for k, entry in enumerate(entries):
-            at: Place = ("sweep", name, k)
-            parameter = entry.parameter
-            text = _unsweepable(parameter, config)
-            if text is None and name != "axes":
-                text = _undrawable(entry, name, swept, config)
-            before = [each for each in entries[:k] if each.parameter == parameter]
-            if text is None and parameter in taken and not (name == "tolerances" and _go_together(*before, entry)):
-                text = f"{parameter} is {verb} by {dotted(taken[parameter])} already"
-            if text is not None:
-                yield (*at, "parameter"), text
-            else:
-                taken[parameter] = at
-
-
-def _go_together(*draws: Draw) -> bool:
-    """Whether tolerances of one key are a factor and an offset, one applied after the other."""
-    return sorted(each.draws for each in draws) == ["factor", "offset"]
-
-
-def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Config) -> str | None:
-    parameter = draw.parameter
-    _, key, value = located(config, parameter)
-    if key.whole:
-        return f"{parameter} is an inertia's number, which cannot be drawn"
-    if parameter in swept and table == "samples":
-        return f"{parameter} is swept by {dotted(swept[parameter])} already"
-    if parameter in swept and draw.draws == "value":
-        return f'{parameter} is swept: its tolerance must be around the swept value; set draws = "factor" or "offset"'
-    needs_nominal = draw.draws != "value" or any(map(math.isnan, draw.numbers(math.nan).values()))
-    if parameter not in swept and math.isnan(value) and needs_nominal:
-        return f"{parameter} has no value in this config that its distribution could be around"
-    return None
-
-
-def _fitted(config: Config) -> Iterator[Finding]:
-    """Require fitted parameters that can be drawn."""
-    for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
-        text = _unsweepable(prior.parameter, config) or _undrawable(prior, "fit", {}, config)
-        if text is not None:
-            yield ("fit", "parameters", k, "parameter"), text
-
-
-def _optimised(config: Config) -> Iterator[Finding]:
-    """Require free parameters that can be swept and are no whole numbers; robustness with tolerances only."""
+def _varied(config: Config) -> Iterator[Finding]:
+    """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
+    swept: dict[tuple[str, str], Place] = {}
+    for table, verb in _VARIED:
+        taken: dict[tuple[str, str], Place] = {}
+        for k, entry in enumerate(getattr(getattr(config, table[0]), table[1], ())):
+            at: Place = (*table, k)
+            # a factor and an offset of a key act one after the other, in a fit on a value, too
+            draws = getattr(entry, "draws", "value") if table != ("sweep", "samples") else "value"
+            for parameter in getattr(entry, "keys", (entry.parameter,)):
+                text = _unsweepable(parameter, config)
+                if text is None and table != ("sweep", "axes"):
+                    text = _undrawable(parameter, entry, table, (parameter, "value") in swept, config)
+                before = {each: place for (key, each), place in taken.items() if key == parameter}
+                is_again = draws in before or (bool(before) and table[0] != "fit" and "value" in (draws, *before))
+                if text is None and is_again:
+                    text = f"{parameter} is {verb} {dotted(before.get(draws, next(iter(before.values()))))} already"
+                if text is not None:
+                    yield (*at, "parameter"), text
+                else:
+                    taken[parameter, draws] = at
+        swept = swept or taken
     optimize = config.optimize
-    for k, free in enumerate(optimize.parameters if optimize is not None else ()):
-        for parameter in free.keys:
-            text = _unsweepable(parameter, config)
-            if text is None and located(config, parameter)[1].whole:
-                text = f"{parameter} is an inertia's number, which cannot be searched"
-            if text is not None:
-                yield ("optimize", "parameters", k, "parameter"), text
     if optimize is not None and optimize.robust is not None and not (config.sweep and config.sweep.tolerances):
         yield ("optimize", "robust"), "a share of drawn drivelines needs [[sweep.tolerances]], and there are none"
 
 
-# --- Values of swept, drawn, fitted and free keys ---------------------------------------------------------------------
+def _undrawable(
+    parameter: str, entry: Draw | FreeParameter, table: Place, is_swept: bool, config: Config
+) -> str | None:
+    """Reason why a key cannot be drawn, fitted or free; None where it can."""
+    _, key, value = located(config, parameter)
+    if key.whole:
+        return f"{parameter} is an inertia's number, which cannot be drawn"
+    if isinstance(entry, FreeParameter):
+        return None
+    if is_swept and table[1] == "samples":
+        return f"{parameter} is swept already"
+    if is_swept and table[1] == "tolerances":
+        around = 'its tolerance must be around the swept value; set draws = "factor" or "offset"'
+        return f"{parameter} is swept: {around}" if entry.draws == "value" else None
+    needs_nominal = entry.draws != "value" or any(map(math.isnan, entry.numbers(math.nan).values()))
+    if math.isnan(value) and needs_nominal:
+        return f"{parameter} has no value in this config that its distribution could be around"
+    return None
+
+
+# --- Values of swept, drawn, fitted and free keys --------------------------------------------------------------------
+
+
+def _nowhere(position: int) -> Place:
+    """The place of a value that has none of its own, below that of what gives it."""
+    return ()
 
 
 class Reach(NamedTuple):
-    """A value that a key has in some runs.
+    """The values that something in a config gives to a key.
 
-    at : place in the config of what gives it this value
-    words : for people, what gives it this value
+    at : place in the config of what gives them
+    parameter : dotted key
+    values : (n,) float64  [unit of the key]
+    below : place of the value at a position, below `at`
+    words : of a value, for people
     """
 
-    value: float
     at: Place
-    words: str
+    parameter: str
+    values: Floats
+    below: Callable[[int], Place] = _nowhere
+    words: str = "{parameter}"
+
+    def case(self, position: int) -> tuple[float, Place, str]:
+        """A value, the place that it has in the config, and words for it."""
+        value = float(self.values[position])
+        return value, (*self.at, *self.below(position)), self.words.format(parameter=self.parameter, value=value)
 
 
-Case = Mapping[str, Reach]  # by parameter
+Case = Mapping[str, tuple[float, Place, str]]  # by parameter; see `Reach.case`
 
 
 def _reached(config: Config) -> Iterator[Finding]:
@@ -308,11 +279,12 @@ def _reached(config: Config) -> Iterator[Finding]:
     Of swept and drawn keys every two have theirs together, too.
     """
     document = config.model_dump(exclude=NOT_OF_A_RUN)
-    together = [*_axes(config), *_draws(config)]
+    together = [_cases(group, config) for group in _of_sweep(config)]
+    alone = [_cases([reach], config) for reach in _of_searches(config)]
     pairs = (one | other for first, second in combinations(together, 2) for one, other in product(first, second))
     refused: set[Place] = set()
-    for case in chain(*together, _priors(config), _bounds(config), pairs):
-        places = {reach.at[:3] for reach in case.values()}
+    for case in chain(*together, *alone, pairs):
+        places = {place[:3] for _, place, _ in case.values()}
         if refused.isdisjoint(places) and (finding := _broken_at(case, config, document)) is not None:
             refused.add(finding[0][:3])
             yield finding
@@ -320,86 +292,68 @@ def _reached(config: Config) -> Iterator[Finding]:
 
 def _broken_at(case: Case, config: Config, document: Mapping[str, Any]) -> Finding | None:
     """The first rule that a run breaks in which some keys have other values."""
-    keys = {parameter: located(config, parameter) for parameter in case}
-    for parameter, (place, key, _) in keys.items():
-        document = with_value(document, place, plain_number(key, case[parameter].value))
+    place_of = {}
+    for parameter, (value, at, _) in case.items():
+        place, key, _ = located(config, parameter)
+        place_of[place] = at
+        document = with_value(document, place, plain_number(key, value))
     run, findings = validated(Config, document)
     broken, text = next(iter(findings if run is None else _of_a_run(run)), (None, ""))
     if broken is None:
         return None
-    reach = next((case[parameter] for parameter, (place, *_) in keys.items() if place == broken), [*case.values()][-1])
-    return reach.at, f"{' and '.join(dict.fromkeys(each.words for each in case.values()))}: {text}"
+    words = dict.fromkeys(words for _, _, words in case.values())
+    return place_of.get(broken, [*place_of.values()][-1]), f"{' and '.join(words)}: {text}"
 
 
-def _axes(config: Config) -> Iterator[list[dict[str, Reach]]]:
-    """The least and greatest values of each axis; of axes that are walked together, those of all."""
-    axes = [*enumerate(config.sweep.axes)] if config.sweep is not None else []
-    for group in [axes] if config.sweep is not None and config.sweep.design == "zip" else [[each] for each in axes]:
-        positions = [
-            position for _, axis in group for position in _extremes(axis.grid, located(config, axis.parameter)[1].whole)
-        ]
-        for (_, one), (_, other) in combinations(group, 2):  # two times may not change places
-            positions += _extremes(one.grid - other.grid)
-        yield [
-            {axis.parameter: _on_axis(axis, k, position) for k, axis in group} for position in dict.fromkeys(positions)
-        ]
+def _cases(group: Sequence[Reach], config: Config) -> list[dict[str, tuple[float, Place, str]]]:
+    """The extremes of keys whose values go together.
+
+    These are the least and the greatest value of each, that nearest to zero, and of a whole number one that is none;
+    and of each two keys the extremes of their difference, as two times may not change places.
+    """
+    values = [reach.values for reach in group]
+    extremes = [*values, *(one - other for one, other in combinations(values, 2))]
+    positions = [int(at) for each in extremes for at in (each.argmin(), each.argmax(), np.abs(each).argmin())]
+    positions += [int((reach.values % 1.0).argmax()) for reach in group if located(config, reach.parameter)[1].whole]
+    return [{reach.parameter: reach.case(at) for reach in group} for at in dict.fromkeys(positions)]
 
 
-def _extremes(values: Floats, whole: bool = False) -> list[int]:
-    """Positions of the least and the greatest value, of that nearest to zero, and of one that is no whole number."""
-    fraction = [int((values % 1.0 != 0.0).argmax())] if whole else []
-    return [int(values.argmin()), int(values.argmax()), int(np.abs(values).argmin()), *fraction]
-
-
-def _on_axis(axis: Axis, number: int, position: int) -> Reach:
-    """The value at a position of an axis."""
-    end = {0: ("start",), axis.count_of_values - 1: ("stop",)}.get(position, ())
-    where: Place = ("values", position) if axis.values is not None else end
-    return Reach(float(axis.grid[position]), ("sweep", "axes", number, *where), axis.parameter)
-
-
-def _draws(config: Config) -> Iterator[list[dict[str, Reach]]]:
-    """The least and greatest values of each drawn key; the sample is known beforehand."""
+def _of_sweep(config: Config) -> Iterator[list[Reach]]:
+    """Swept and drawn keys, of axes that are walked together all at once; the sample is known beforehand."""
     sweep = config.sweep
-    if sweep is None or not (sweep.samples or sweep.tolerances):
+    if sweep is None:
         return
+    axes = [Reach(("sweep", "axes", k), axis.parameter, axis.grid, axis.place_of) for k, axis in enumerate(sweep.axes)]
+    yield from [axes] if sweep.design == "zip" else ([each] for each in axes)
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
-    points = sweep.sampling.points(len(draws))
-    reached = {axis.parameter: axis.grid for axis in sweep.axes}
+    points = sweep.sampling.points(len(draws)) if draws else np.empty((0, 0))
+    before = {axis.parameter: axis.values for axis in axes}
+    drawn: dict[str, Reach] = {}
     for k, draw in enumerate(draws):
-        parameter = draw.parameter
-        before = reached.get(parameter, np.array([located(config, parameter)[2]]))
-        drawn = draw.sample(points[:, k], float(before.flat[0]))  # around a swept value it does not use this
-        values = reached[parameter] = draw.applied(drawn[:, None], np.array([before.min(), before.max()]))
-        if any(each.parameter == parameter for each in draws[k + 1 :]):
-            continue
-        reaches = []
-        for position in dict.fromkeys(_extremes(values.ravel())):
-            value = float(values.flat[position])
-            words = f"draw {position // 2 + 1} of {len(drawn)} makes {parameter} {value:.6g}"
-            reaches.append({parameter: Reach(value, ("sweep", table, k), f"{words} (low and high bound it)")})
-        yield reaches
+        around = before.get(draw.parameter, np.array([located(config, draw.parameter)[2]]))
+        numbers = draw.sample(points[:, k], float(around[0]))  # around a swept value it does not use this
+        values = draw.applied(numbers[:, None], np.array([around.min(), around.max()])).ravel()
+        words = "a draw makes {parameter} {value:.6g} (low and high bound it)"
+        before[draw.parameter] = values
+        drawn[draw.parameter] = Reach(("sweep", table, k), draw.parameter, values, words=words)
+    yield from ([each] for each in drawn.values())
 
 
-def _priors(config: Config) -> Iterator[dict[str, Reach]]:
-    """The least and greatest values that a fit allows.
+def _of_searches(config: Config) -> Iterator[Reach]:
+    """The ends of what a fit and an optimisation allow.
 
     A measured key's factor or offset acts on measured values, which are not known here.
     """
     for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
         nominal = located(config, prior.parameter)[2]
-        for value in map(float, prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal)):
-            if not math.isnan(nominal):
-                words = f"it allows {prior.parameter} = {value:.6g}"
-                yield {prior.parameter: Reach(value, ("fit", "parameters", k), words)}
-
-
-def _bounds(config: Config) -> Iterator[dict[str, Reach]]:
-    """The least and greatest values of an optimisation's parameters."""
+        if not math.isnan(nominal):
+            values = prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal)
+            words = "it allows {parameter} = {value:.6g}"
+            yield Reach(("fit", "parameters", k), prior.parameter, values, words=words)
+    ends: tuple[Place, Place] = (("low",), ("high",))
     for k, free in enumerate(config.optimize.parameters if config.optimize is not None else ()):
-        for name, value in (("low", free.low), ("high", free.high)):
-            at: Place = ("optimize", "parameters", k, name)
-            yield {key: Reach(value, at, key) for key in free.keys}
+        for key in free.keys:
+            yield Reach(("optimize", "parameters", k), key, np.array([free.low, free.high]), ends.__getitem__)
 
 
 # --- Numbers that cannot be meant ------------------------------------------------------------------------------------

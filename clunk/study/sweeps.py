@@ -70,6 +70,12 @@ class Axis(Table):
         """Number of values that the axis has."""
         return len(self.values) if self.values is not None else self.count or 0
 
+    def place_of(self, position: int) -> tuple[str | int, ...]:
+        """Place in the axis of the key that gives the value at a position; empty where none does alone."""
+        if self.values is not None:
+            return "values", position
+        return {0: ("start",), self.count_of_values - 1: ("stop",)}.get(position, ())
+
     @property
     def grid(self) -> Floats:
         """(count,) float64, the values in order; read-only."""

@@ -137,14 +137,16 @@ def allowed_inertias(count: int, names: Sequence[Any], ground: bool) -> str:
 def _numbered(value: Any, info: ValidationInfo, ground: bool) -> Any:
     """Number of an inertia that is given by number or name; names and inertias are in the context of validation."""
     driveline = info.context if isinstance(info.context, Mapping) else {}
-    names = [name for name in items_of(driveline.get("names")) if isinstance(name, str)]
-    if type(value) is int or (ground and value == "ground"):
+    count, names = len(items_of(driveline.get("inertias"))), items_of(driveline.get("names"))
+    names = [name for name in names if isinstance(name, str)]
+    if (ground and value == "ground") or (type(value) is int and (1 <= value <= count or not count)):
         return value
     if isinstance(value, str) and value in names:
-        return items_of(driveline["names"]).index(value) + 1
-    allowed = allowed_inertias(len(items_of(driveline.get("inertias"))), names, ground)
+        return names.index(value) + 1
+    allowed = allowed_inertias(count, names, ground)
     if not isinstance(value, str):
-        raise refusal(((), f"found {shorten(value)}; must be {allowed}"))
+        found = f"there is no inertia {shorten(value)}" if type(value) is int else f"found {shorten(value)}"
+        raise refusal(((), f"{found}; must be {allowed}"))
     likely = nearest(value, [*names, "ground"] if ground else names)
     hint = f"did you mean {shorten(likely)}? It" if likely else "it"
     raise refusal(((), f"no inertia is named {shorten(value)}; {hint} must be {allowed}"))
