@@ -12,10 +12,11 @@ from clunk.core.tile import Batch, batch_of
 from clunk.simulation.driveline import Driveline, build, prepare, with_steps
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
+from clunk.study.designs import refuse_points
 from clunk.study.document import Place
 from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows
-from clunk.study.study import Study, refuse_points, replace_values
+from clunk.study.study import Study, replace_values
 
 _MOST = 512  # drivelines of a batch: of two flows 14 MB of tables, and each one's share in 5 ms is small
 _MEASURED = 128  # of those whose channels are tabulated, which take some 100 KB each
@@ -50,7 +51,7 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     Raises
     ------
     ConfigError
-        Where a value is not allowed, as `replace_values` does for the first such driveline.
+        Where a value is not allowed.
     """
     if not values.size:
         return

@@ -66,10 +66,10 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
     >>> clunk.load_study("configs/smoke.toml", ["load.static_torque=-2.0"])
     <clunk.Study 'Smoke test: a coarse Figure 3.4'>
       driveline  4 inertias, 4 shafts
-      backlash   between 3 and 4: swept
-      contact    indentation, separation by gap
-      load       step on inertia 1: Ts = -2 N m, σr swept
-      solver     rk4, step 0.0002 s, to 2 s
+      lash 1     between 3 and 4
+      contact    indentation
+      load       step on inertia 1
+      solver     rk4, to 2 s
       swept      load.ratio: 0 to 10, 21 values
       swept      lash.backlash_deg: 0 to 20, 21 values
     """

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from clunk.study.arrays import Cells, Floats
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.document import dotted
-from clunk.study.errors import Problem, report
+from clunk.study.errors import ConfigError, Problem, report
 from clunk.study.keys import validated, with_tuples
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located, nominal_value, quantity
@@ -132,6 +132,19 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
             point = f"point {int(place[4]) + 1}: " if len(place) > 4 else ""
         problems.append(Problem(key, None, point + message.removeprefix(f"{key}: ")))
     raise report("this set of points", problems)
+
+
+def refuse_points(study: Study, parameters: Sequence[str], values: Floats) -> None:
+    """Refuse points of a study, (n, parameters), whose values are not allowed. Raises ConfigError.
+
+    All are looked at together, by the least and the greatest of each parameter; the points themselves only where one of
+    these may not be.
+    """
+    ends = np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
+    try:
+        design_of_points(study, dict(zip(parameters, ends, strict=True)))
+    except ConfigError:
+        design_of_points(study, dict(zip(parameters, values.T, strict=True)))
 
 
 def has_tolerances(study: Study) -> bool:

@@ -21,7 +21,7 @@ from clunk.study.tables import (
     SEVERAL,
     Ends,
     Finding,
-    InertiaOrNone,
+    Inertia,
     NotNegative,
     NotZero,
     OneOrSeveral,
@@ -232,7 +232,7 @@ class Impacts(Table):
     """
 
     sticking_time: Annotated[Positive | None, Quantity("sticking time", "t_s", "s")] = None
-    acceleration_of: Annotated[InertiaOrNone, Quantity("inertia of the severity", "i", "1")] = None
+    acceleration_of: Annotated[Inertia | None, Quantity("inertia of the severity", "i", "1")] = None
     quantities: tuple[Literal["impulse", "peak_torque", "energy"], ...] = ()
 
 

@@ -183,12 +183,10 @@ NotZero = Annotated[
     float, AfterValidator(_not_zero), AfterValidator(_sizeable), WithJsonSchema({"type": "number", "not": {"const": 0}})
 ]
 Text = Annotated[str, AfterValidator(_one_line)]
-_INERTIA = WithJsonSchema({"type": ["integer", "string"], "minimum": 1, "description": "an inertia's number or name"})
-Inertia = Annotated[int, PlainValidator(numbered_inertia), _INERTIA]
-InertiaOrNone = Annotated[
-    int | None,
-    PlainValidator(lambda value, info: None if value is None else _numbered(value, info, ground=False)),
-    _INERTIA,
+Inertia = Annotated[
+    int,
+    PlainValidator(numbered_inertia),
+    WithJsonSchema({"type": ["integer", "string"], "minimum": 1, "description": "an inertia's number or name"}),
 ]
 End = Annotated[
     int | Literal["ground"],
