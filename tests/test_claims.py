@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.maps import with_arrays
 
 from clunk.report import claims, reproduction
 from clunk.report.claims import Claim, Verdict
@@ -60,7 +61,7 @@ def test_every_figure_table_and_erratum_of_the_report_has_a_claim(found):
 )
 def test_a_map_without_its_severity_fails_the_claims_about_it(evidence, field, value, place):
     flat = getattr(evidence.maps["indentation"], field) * 0.0 + value
-    maps = evidence.maps | {"indentation": evidence.maps["indentation"].with_arrays(**{field: flat})}
+    maps = evidence.maps | {"indentation": with_arrays(evidence.maps["indentation"], **{field: flat})}
     failed = [claim for claim in claims.claims(Evidence(maps)) if claim.failed]
     assert failed
     assert any(place in claim.where for claim in failed)

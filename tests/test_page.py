@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from conftest import RUBBING
+from helpers.maps import with_arrays
 from test_cli import SMALL
 from test_store import BACKLASH, INERTIA, RATIO
 from test_store import example as example_without_config
@@ -57,7 +58,7 @@ class Page(HTMLParser):
 def example(*axes):
     """Results of cells that were all run."""
     results = example_without_config(*axes)
-    return replace(results.with_arrays(quality=np.zeros(results.shape, np.uint8)), config=CONFIG)
+    return replace(with_arrays(results, quality=np.zeros(results.shape, np.uint8)), config=CONFIG)
 
 
 def page_of(results):
@@ -168,7 +169,7 @@ def test_a_cloud_of_points_is_not_a_path_for_each(tmp_path, count):
     rng = np.random.default_rng(1)
     run = ResultAxis(RUN, np.arange(1.0, count + 1.0), "run", "", "1")
     x, y = (replace(axis, values=rng.uniform(0.5, 10.0, count)) for axis in (RATIO, BACKLASH))
-    results = replace(example(run).with_arrays(quality=np.zeros(count, np.uint8)), coordinates=(x, y))
+    results = replace(with_arrays(example(run), quality=np.zeros(count, np.uint8)), coordinates=(x, y))
     save(scatter(results, "regimes", x.parameter, y.parameter), tmp_path / "cloud.svg")
     text = (tmp_path / "cloud.svg").read_text("utf-8")
     assert (text.count("<use") > count) == (count == 100)

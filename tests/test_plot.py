@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from helpers.maps import map_of
+from helpers.maps import map_of, with_arrays
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -418,7 +418,7 @@ def test_an_unknown_quantity_is_answered_with_the_known() -> None:
 
 
 def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine: Results) -> None:
-    results = nine.with_arrays(severity=np.full(nine.shape, np.nan))
+    results = with_arrays(nine, severity=np.full(nine.shape, np.nan))
     with pytest.raises(plot.PlotError, match="approach_velocity"):
         plot.draw(results, "severity")
     assert plot.draw(results, "regimes").axes[0].texts
@@ -426,7 +426,7 @@ def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine:
 
 def test_results_without_margins_say_which_method_knows_them(nine: Results) -> None:
     with pytest.raises(plot.PlotError, match=r"only the exact method knows it \(solver\.method\)"):
-        plot.draw(nine.with_arrays(margin=np.full(nine.shape, np.nan)), "margin")
+        plot.draw(with_arrays(nine, margin=np.full(nine.shape, np.nan)), "margin")
 
 
 def test_undecided_cells_are_dotted_and_counted(nine: Results) -> None:
@@ -434,7 +434,7 @@ def test_undecided_cells_are_dotted_and_counted(nine: Results) -> None:
     cells = [(3, 40), (30, 7), (55, 0)]
     for cell in cells:
         quality[cell] |= QUALITY_UNDECIDED
-    figure = regime_map(nine.with_arrays(quality=quality))
+    figure = regime_map(with_arrays(nine, quality=quality))
     assert notes(figure)[-1] == "• undecided: 3 cells"
     (dots,) = [line for line in figure.axes[0].lines if line.get_gid() == "undecided"]
     expected = [(RATIO.values[i], BACKLASH.values[j]) for i, j in cells]

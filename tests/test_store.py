@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
+from helpers.maps import with_arrays
 
 from clunk.core.status import Status
 from clunk.results import netcdf, store
@@ -186,8 +187,8 @@ def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> 
     time[-1] = np.nextafter(time[-1], np.inf)
     moved = replace(BACKLASH, values=BACKLASH.values + 1.0)
     others = [
-        digest(results.with_arrays(severity=severity)),
-        digest(results.with_arrays(impact_time=time)),
+        digest(with_arrays(results, severity=severity)),
+        digest(with_arrays(results, impact_time=time)),
         digest(replace(results, axes=(RATIO, moved))),
         digest(replace(results, labels=("NI", "SS(2)", *LABELS[2:]))),
     ]

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -31,10 +31,9 @@ from clunk.results.quantities import (
 )
 from clunk.study.arrays import Array, Bools, Floats, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
+from clunk.study.document import value_at
 from clunk.study.models import lash_name, lash_position
 from clunk.study.records import Rows, as_text, counted
-
-Index = tuple[slice | int, ...]
 
 
 @lru_cache(maxsize=4)
@@ -87,8 +86,12 @@ class Map(ABC):
             shape = (*self.shape, len(self.entries[quantity.dimension])) if quantity.dimension else self.shape
             if quantity.dimension in COUNTED_BY:
                 shape = (int(self.first_impact[-1]),)
-            require_array(name, self.arrays[name], shape, quantity.dtype)
-        require_codes(self.labels, self.arrays["sequence"])
+            array = self.arrays[name]
+            if array.shape != shape or array.dtype != quantity.dtype:
+                expected = f"{np.dtype(quantity.dtype)} {shape}"
+                raise ValueError(f"{name} must be {expected}, not {array.dtype} {array.shape}")
+        if self.sequence.min() < FAILED_CODE or self.sequence.max() >= len(self.labels):
+            raise ValueError("sequence holds a code without a label")
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -112,45 +115,19 @@ class Map(ABC):
 
     def setting(self, key: str) -> Any:
         """Value of a dotted key of the resolved config; None where it has none."""
-        table: Any = tables_of(self.config)
-        for name in key.split("."):
-            table = table.get(name) if isinstance(table, dict) else None
-        return table
+        return value_at(tables_of(self.config), tuple(key.split(".")))
 
-    if not TYPE_CHECKING:  # the subclasses say which attributes there are
-
-        def __getattr__(self, name: str) -> Array:
-            """A quantity's array."""
-            try:
-                return self.__dict__["arrays"][name]
-            except KeyError:
-                raise AttributeError(f"{type(self).__name__} has no {name}") from None
-
-    def with_arrays(self, **arrays: Array) -> Self:
-        """The map with other values of some quantities."""
-        return replace(self, arrays={**self.arrays, **arrays})
+    def __getattr__(self, name: str) -> Array:
+        """A quantity's array."""
+        array: Array | None = self.__dict__.get("arrays", {}).get(name)
+        if array is None:
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        return array
 
     @property
     @abstractmethod
     def quantities(self) -> dict[str, Quantity]:
         """The quantities of the map, in the order of their file."""
-
-    @property
-    @abstractmethod
-    def quantities_of_cells(self) -> dict[str, Quantity]:
-        """The quantities that each cell has, by the names that options take; see `clunk.results.quantities`."""
-
-    def plot_label(self, quantity: Quantity) -> str:
-        """Name of one of `quantities_of_cells`, with symbol and unit, beside an axis or a colour bar."""
-        return quantity.plot_label
-
-    @abstractmethod
-    def of_labels(self, numbers: Sequence[float]) -> Floats:
-        """What follows from the label of each cell; NaN where it failed. numbers : of the labels, in their order"""
-
-    @abstractmethod
-    def numbers(self, name: str) -> Floats:
-        """A number of `quantities_of_cells` in each cell as float64, NaN where it failed or it is not defined."""
 
     @property
     @abstractmethod
@@ -164,7 +141,7 @@ class Map(ABC):
     @cached_property
     def first_impact(self) -> Integers:
         """Position of each cell's first impact in the flat arrays, and last their number: (cells + 1,), in C order."""
-        return np.concatenate(([0], np.cumsum(self.arrays["primary_impacts"], dtype=np.int64)))
+        return np.concatenate(([0], np.cumsum(self.primary_impacts, dtype=np.int64)))
 
     def at(self, values: Mapping[str, float]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
@@ -182,9 +159,7 @@ class Map(ABC):
             k = names.index(parameter)
             position = self.axes[k].nearest(value)
             index[k] = slice(position, position + 1)
-        run = index[names.index(RUN)] if RUN in names else slice(None)
-        axes = tuple(axis.part(places) for axis, places in zip(self.axes, index, strict=True))
-        return self._part(tuple(index), axes, tuple(axis.part(run) for axis in self.coordinates))
+        return self._part(tuple(index))
 
     def at_lash(self, name: str | None = None) -> Self:
         """Slice at one lash, by name or number; by default at the first. The map itself where there is only one.
@@ -199,7 +174,7 @@ class Map(ABC):
 
         Of a tolerance map, cells in which the label is the most likely one.
         """
-        sequence = self.arrays["sequence"].ravel().astype(np.intp)
+        sequence = self.sequence.ravel().astype(np.intp)
         cells = np.bincount(sequence - FAILED_CODE, minlength=len(self.labels) + 1).tolist()
         return dict(zip((*self.labels, FAILED), (*cells[1:], cells[0]), strict=True))
 
@@ -215,11 +190,14 @@ class Map(ABC):
         position = lash_position(name, self.lash_names)
         if not self.lashes:
             return self
-        places: Index = (*[slice(None)] * len(self.axes[1:]), position)
-        return self._part(places, self.axes[:-1], self.coordinates)
+        return self._part((*[slice(None)] * len(self.axes[1:]), position))
 
-    def _part(self, index: Index, axes: tuple[ResultAxis, ...], coordinates: tuple[ResultAxis, ...]) -> Self:
-        """The slice at these positions on the axes; of a whole map of their lash, with the boundaries."""
+    def _part(self, index: tuple[slice | int, ...]) -> Self:
+        """The slice at these positions, without the axes of a single one; of a whole map with its boundaries."""
+        kept = [(axis, places) for axis, places in zip(self.axes, index, strict=True) if isinstance(places, slice)]
+        axes = tuple(axis.part(places) for axis, places in kept)
+        runs = [places for axis, places in kept if axis.parameter == RUN]
+        coordinates = tuple(axis.part(runs[0]) for axis in self.coordinates)
         arrays = {
             name: np.ascontiguousarray(self.arrays[name][index])
             for name, each in self.quantities.items()
@@ -284,18 +262,6 @@ def share(count: int, cells: int) -> str:
     return f"{counted(count, 'cell')}, {100.0 * count / cells:.1f} %"
 
 
-def require_codes(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> None:
-    """Raise ValueError where a code has no label."""
-    if sequence.min() < FAILED_CODE or sequence.max() >= len(labels):
-        raise ValueError("sequence holds a code without a label")
-
-
-def require_array(name: str, array: Array, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
-    """Raise ValueError where an array has another shape or dtype."""
-    if array.shape != shape or array.dtype != dtype:
-        raise ValueError(f"{name} must be {np.dtype(dtype)} {shape}, not {array.dtype} {array.shape}")
-
-
 # --- Regime maps -----------------------------------------------------------------------------------------------------
 
 
@@ -319,21 +285,6 @@ class Results(Map):
     impact_severity : (N,) Q_i  [rad/s²]
     """
 
-    sequence: npt.NDArray[np.int16]
-    severity: Floats
-    approach_velocity: Floats
-    last_event_time: Floats
-    primary_impacts: npt.NDArray[np.int32]
-    touches: npt.NDArray[np.int32]
-    status: npt.NDArray[np.uint8]
-    quality: npt.NDArray[np.uint8]
-    initial_side: npt.NDArray[np.int8]
-    margin: Floats
-    impact_time: Floats
-    impact_flank: npt.NDArray[np.int8]
-    impact_closing_speed: Floats
-    impact_severity: Floats
-
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """The quantities of these results, in the order of their file."""
@@ -345,8 +296,12 @@ class Results(Map):
         holding = {name: each for name, each in OF_RUNS.items() if name != NOMINAL}
         return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
 
+    def plot_label(self, quantity: Quantity) -> str:
+        """Name of one of `quantities_of_cells`, with symbol and unit, beside an axis or a colour bar."""
+        return quantity.plot_label
+
     def of_labels(self, numbers: Sequence[float]) -> Floats:
-        """The number of the label of each cell; NaN where the run failed."""
+        """What follows from the label of each cell; NaN where it failed. numbers : of the labels, in their order"""
         return np.array([*numbers, np.nan], np.float64)[self.sequence]  # the code of failed cells, -1, is the last
 
     def numbers(self, name: str) -> Floats:
@@ -368,13 +323,9 @@ class Results(Map):
 
     @property
     def entries(self) -> dict[str, Array]:
-        """Numbers of the primary impacts."""
-        return {"impact": np.arange(1, self.max_impacts + 1, dtype=np.int32)}
-
-    @cached_property
-    def max_impacts(self) -> int:
-        """Length of the file's `impact` dimension: the most primary impacts of any cell, at least 1."""
-        return max(1, int(self.primary_impacts.max()))
+        """Numbers of the primary impacts, as many as the cell with the most has, and at least 1."""
+        most = max(1, int(self.primary_impacts.max()))
+        return {"impact": np.arange(1, most + 1, dtype=np.int32)}
 
     @property
     def label_map(self) -> npt.NDArray[np.str_]:
@@ -474,13 +425,6 @@ class ToleranceMap(Map):
     status : shape, how the first run that failed ended (see `clunk.core.status`), 0 where none did
     """
 
-    probability: Floats
-    sequence: npt.NDArray[np.int16]
-    nominal_sequence: npt.NDArray[np.int16]
-    severity_mean: Floats
-    severity_quantiles: Floats
-    status: npt.NDArray[np.uint8]
-
     @property
     def quantities(self) -> dict[str, Quantity]:
         """The quantities of a tolerance map, in the order of their file."""
@@ -503,7 +447,7 @@ class ToleranceMap(Map):
         return {**of_labels, "severity": mean, **quantiles}
 
     def plot_label(self, quantity: Quantity) -> str:
-        """The quantity's name beside an axis: what holds for labels has a probability."""
+        """See `Results.plot_label`: what holds for labels has a probability."""
         return f"Probability that {quantity.words}" if quantity.type == YES_NO else quantity.plot_label
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
@@ -536,7 +480,8 @@ class ToleranceMap(Map):
     @cached_property
     def runs(self) -> npt.NDArray[np.int32]:
         """Of the N runs of a cell, those with each label, and last those that failed: shape + (labels + 1,)."""
-        return np.rint(self.probability * self.draws).astype(np.int32)
+        runs: npt.NDArray[np.int32] = np.rint(self.probability * self.draws).astype(np.int32)
+        return runs
 
     @property
     def certainty(self) -> Floats:

@@ -46,7 +46,7 @@ from clunk.study.models import OF_IMPACTS
 from clunk.study.study import Study
 
 if TYPE_CHECKING:
-    from clunk.results.maps import Map
+    from clunk.results.maps import AnyMap
 
 TEXT, NUMBER, WHOLE, YES_NO = "label", "number", "whole number", "yes/no"  # types of quantities
 LABEL, CHATTER, NOMINAL = "label", "chatter", "nominal_label"
@@ -138,7 +138,7 @@ class Quantity:
         # The failed code comes last: flag_meanings.split()[code] is then right for -1, too.
         return (dict(enumerate(labels)) if self.coded == "labels" else {}) | dict(_WORDS[self.coded])
 
-    def of_runs(self, results: Map) -> Array:
+    def of_runs(self, results: AnyMap) -> Array:
         """The quantity in each cell of a map, in the map's shape.
 
         A number as float64, NaN where it is not defined; what holds or not as 1 and 0, of a tolerance map as its
@@ -224,7 +224,7 @@ def named_numbers(quantities: Mapping[str, Quantity]) -> dict[str, Quantity]:
     return {name: each for name, each in quantities.items() if each.words and not each.dimension and not each.coded}
 
 
-def quantities_of(source: Study | Map) -> dict[str, Quantity]:
+def quantities_of(source: Study | AnyMap) -> dict[str, Quantity]:
     """The quantities of a study's runs, or those that a map has in each cell, by the names that options take.
 
     First the label, then numbers, then what holds or not; relations such as ``severity<=8000`` come besides.
@@ -235,7 +235,7 @@ def quantities_of(source: Study | Map) -> dict[str, Quantity]:
     return {LABEL: OF_RUNS[LABEL]} | named_numbers(CELL_QUANTITIES | measured) | OF_RUNS
 
 
-def quantity_of(text: str, source: Study | Map) -> Quantity:
+def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     """A quantity of a study's runs or of a map's cells, in the words that options take; see above.
 
     Raises ClunkError where there is none, or it is not defined for the study's contact model.
@@ -283,7 +283,7 @@ def _related(base: Quantity, relation: str, bound: float | str) -> Quantity:
     return replace(described, base=base, relation=relation, bound=bound)
 
 
-def _unknown(text: str, name: str, source: Study | Map) -> str:
+def _unknown(text: str, name: str, source: Study | AnyMap) -> str:
     known = [*quantities_of(source)]
     likely = likely_name(name, known)
     hint = f"; did you mean {likely}?" if likely else "."

@@ -6,7 +6,7 @@ Tables are validated by their models, with every error as a sentence at its plac
 import functools
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -32,8 +32,6 @@ class Key:
     must_be : what is allowed, to follow "must be"
     children : the keys of a table
     choices : the words that are allowed, if only some are
-    word : the key of a table whose word decides which other keys it has, if there is one
-    variants : of such a table, word -> keys
     quantity : of a number that may be swept
     whole : whether only integers are allowed
     lowest, highest : bounds of a number, which it may reach unless `above` says otherwise
@@ -45,8 +43,6 @@ class Key:
     must_be: str
     children: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
-    word: str = ""
-    variants: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     quantity: Quantity | None = None
     whole: bool = False
     lowest: float = -math.inf
@@ -86,8 +82,7 @@ def key_at(place: Place) -> Key | None:
 
 def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
     node = _resolved(node)
-    properties, variants, word = node.get("properties"), {}, ""
-    if "oneOf" in node and "discriminator" not in node:  # one number or table, or several
+    if "oneOf" in node:  # one number or table, or several
         one, several = map(_resolved, node["oneOf"])
         if "properties" in one:
             table, *inner = _keys(place, one)
@@ -99,14 +94,9 @@ def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
         yield place, replace(leaf, must_be=f"{leaf.must_be}, or a list of such numbers")
         yield (*place, ITEM), _leaf(_resolved(several["items"]))
         return
-    if "oneOf" in node:
-        word = node["discriminator"]["propertyName"]
-        tables = [_resolved(table)["properties"] for table in node["oneOf"]]
-        variants = {table[word]["const"]: tuple(table) for table in tables}
-        properties = {name: child for table in tables for name, child in table.items()} | {word: {"enum": [*variants]}}
-    if properties is not None:
-        yield place, Key("a table", children=tuple(properties), word=word, variants=variants)
-        for name, child in properties.items():
+    if "properties" in node:
+        yield place, Key("a table", children=tuple(node["properties"]))
+        for name, child in node["properties"].items():
             yield from _keys((*place, name), child)
     elif node.get("type") == "array":
         items = dict(_keys((*place, ITEM), node["items"]))
@@ -186,19 +176,19 @@ def validated(model: type[Model], table: Any) -> tuple[Model | None, list[Findin
     try:
         return model.model_validate(table, context=value_at(table, ("driveline",))), []
     except ValidationError as error:
-        errors = [(*_place(detail["loc"]), detail) for detail in error.errors(include_url=False)]
-    unknown = {place: _likely_key(place) for place, _, detail in errors if detail["type"] == "extra_forbidden"}
+        errors = [(_place(detail["loc"]), detail) for detail in error.errors(include_url=False)]
+    unknown = {place: _likely_key(place) for place, detail in errors if detail["type"] == "extra_forbidden"}
     findings: list[Finding] = []
-    for place, variant, detail in errors:
+    for place, detail in errors:
         # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
-        inner = [other for other, _, _ in errors if len(other) > len(place) and other[: len(place)] == place]
+        inner = [other for other, _ in errors if len(other) > len(place) and other[: len(place)] == place]
         is_list_of_wrong = detail["type"] == "too_short" and bool(inner)
         if detail["type"] == "clunk":
             findings += [((*place, *below), message) for below, message in detail["ctx"]["findings"]]
         elif place in unknown:
-            findings.append((place, _unknown_key(place, variant, unknown[place])))
+            findings.append((place, _unknown_key(place, unknown[place])))
         elif place not in unknown.values() and not is_list_of_wrong:
-            findings.append(_wrong_value(place, variant, detail))
+            findings.append((place, _wrong_value(place, detail)))
     return None, sorted(findings, key=lambda finding: finding[0] not in unknown)
 
 
@@ -211,19 +201,9 @@ def with_tuples(node: Any) -> Any:
     return tuple(node) if isinstance(node, list) else node
 
 
-def _place(location: Place) -> tuple[Place, str]:
-    """Place of an error, and the word of the variant of the table around it, which pydantic has among the keys."""
-    place: Place = ()
-    variant = ""
-    for step in location:
-        if step in (ONE, SEVERAL):
-            continue
-        key = key_at(place)
-        if key is not None and step in key.variants and not variant:
-            variant = str(step)
-        else:
-            place = (*place, step)
-    return place, variant
+def _place(location: Place) -> Place:
+    """Place of an error, in which pydantic has the variants of keys, too."""
+    return tuple(step for step in location if step not in (ONE, SEVERAL))
 
 
 def _likely_key(place: Place) -> Place | None:
@@ -238,11 +218,9 @@ def _likely_key(place: Place) -> Place | None:
     return next((known for known in elsewhere if known[-1] == likely), None)
 
 
-def _unknown_key(place: Place, variant: str, likely: Place | None) -> str:
-    around = key_at(place[:-1])
-    if variant and around is not None and place[-1] in around.children:
-        return f"a {variant} {around.word} has no {place[-1]}; {_keys_of(place, variant)}"
+def _unknown_key(place: Place, likely: Place | None) -> str:
     if likely is None:
+        around = key_at(place[:-1])
         return f"unknown key; allowed here: {', '.join(around.children) if around is not None else 'none'}"
     if likely[:-1] == place[:-1]:
         return f"unknown key; did you mean {shorten(likely[-1])}?"
@@ -250,30 +228,17 @@ def _unknown_key(place: Place, variant: str, likely: Place | None) -> str:
     return f"unknown key; did you mean {shorten(likely[-1])} in {f'[[{table}]]' if ITEM in likely else f'[{table}]'}?"
 
 
-def _keys_of(place: Place, variant: str) -> str:
-    """Sentence on the keys that a variant of the table around a place has for itself."""
-    around = key_at(place[:-1])
-    assert around is not None
-    # those of the base class come first in every variant
-    shared = [len(set(keys)) == 1 for keys in zip(*around.variants.values(), strict=False)].index(False)
-    return f"a {variant} {around.word} is given by {listing(around.variants[variant][shared:])}"
-
-
-def _wrong_value(place: Place, variant: str, detail: ErrorDetails) -> Finding:
+def _wrong_value(place: Place, detail: ErrorDetails) -> str:
     key, value = key_at(place), detail["input"]
-    if key is not None and detail["type"] in {"union_tag_invalid", "union_tag_not_found"}:
-        value = value.get(key.word)
-        place = (*place, key.word)
-        key = key_at(place)
     must_be = key.must_be if key is not None else detail["msg"].lower()
-    if detail["type"] in {"missing", "union_tag_not_found"}:
+    if detail["type"] == "missing":
         if place == ("driveline",):
-            return place, f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias and shafts"
+            return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias and shafts"
         if key is not None and key.children:
-            return place, f"missing; a config needs the table [{dotted(place)}]"
-        return place, f"missing; {_keys_of(place, variant)}" if variant else f"missing; must be {must_be}"
+            return f"missing; a config needs the table [{dotted(place)}]"
+        return f"missing; must be {must_be}"
     if detail["type"] == "finite_number":
         must_be = must_be.replace("a number", "a finite number")
     likely = nearest(value, key.choices) if key is not None and isinstance(value, str) else None
     hint = f"; did you mean {shorten(likely)}?" if likely else ""
-    return place, f"found {shorten(value)}; must be {must_be}{hint}"
+    return f"found {shorten(value)}; must be {must_be}{hint}"

@@ -15,21 +15,29 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from clunk.study.arrays import Floats
+from clunk.study.errors import listing
 from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table
 
 LARGEST_GRID = 2**31  # cells
 _NEAREST_TO_EDGE = 2.0**-54  # a point at 0 or 1 itself would be an infinite normal value
 
 
-class Axis(Table):
-    """A swept key with the values that it takes, in the key's unit: evenly spaced, or listed.
+class Varied(Table):
+    """A key of whose values there are several.
 
     parameter : str, dotted key
+    """
+
+    parameter: Annotated[str, Field(description='a dotted numeric key, for example "load.ratio"')]
+
+
+class Axis(Varied):
+    """A swept key with the values that it takes, in the key's unit: evenly spaced, or listed.
+
     start, stop, count, scale : float, float, int, "linear" or "log"; or else
     values : (count,) float
     """
 
-    parameter: Annotated[str, Field(description='a dotted numeric key, for example "load.ratio"')]
     start: float | None = None
     stop: float | None = None
     count: Annotated[int, Field(ge=1, le=LONGEST_AXIS)] | None = None
@@ -105,37 +113,68 @@ def _grid(axis: Axis) -> Floats:
 # --- Drawn keys ------------------------------------------------------------------------------------------------------
 
 
-class _Drawn(Table):
+# Distribution -> the numbers that it needs, and those that it may have
+_NUMBERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "uniform": (("low", "high"), ()),
+    "normal": (("std",), ("mean", "low", "high")),
+    "lognormal": (("sigma",), ("median", "low", "high")),
+    "triangular": (("low", "mode", "high"), ()),
+    "listed": (("values",), ()),
+}
+
+
+class Draw(Varied):
     """A key that is drawn at random, in the key's unit.
 
-    parameter : str, dotted key
+    distribution : "uniform" from low to high; "normal" by mean and std, or "lognormal" by its median and sigma, the
+        standard deviation of its logarithm, which low and high truncate; "triangular" from low to high, whose density
+        peaks at mode; or "listed" values, one for each draw of the sample, of several such keys the k-th together
     draws : what the number is: the key's value, a factor on its nominal value, or an offset from that
     """
 
-    parameter: Annotated[str, Field(description='a dotted numeric key, for example "lash.contact.stiffness"')]
-    distribution: str
+    distribution: Literal["uniform", "normal", "lognormal", "triangular", "listed"]
     draws: Literal["value", "factor", "offset"] = "value"
+    low: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    std: Positive | None = None
+    median: Positive | None = None
+    sigma: Positive | None = None
+    mode: float | None = None
+    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_DRAWS)] | None = None
 
     def contradictions(self) -> Iterator[Finding]:
-        """Require low < high, and the mode from low to high."""
-        low, mode, high = (getattr(self, name, None) for name in ("low", "mode", "high"))
+        """Require the numbers of the distribution and no others, low < high, and the mode from low to high."""
+        needed, possible = _NUMBERS[self.distribution]
+        given = f"a {self.distribution} distribution is given by {listing([*needed, *possible])}"
+        for name in type(self).model_fields:
+            if name in needed and getattr(self, name) is None:
+                yield (name,), f"missing; {given}"
+            elif name in _OF_DISTRIBUTIONS - {*needed, *possible} and getattr(self, name) is not None:
+                yield (name,), f"a {self.distribution} distribution has no {name}; {given}"
+        low, mode, high = self.low, self.mode, self.high
         if low is not None and high is not None and not low < high:
             yield ("high",), f"found {high:g}; must be greater than low = {low:g}"
-        elif mode is not None and not low <= mode <= high:
+        elif mode is not None and low is not None and high is not None and not low <= mode <= high:
             yield ("mode",), f"found {mode:g}; must be from low to high"
         elif self.distribution == "lognormal" and high is not None and high <= 0.0:
             yield ("high",), f"found {high:g}; a lognormal number is greater than 0"
 
     def numbers(self, nominal: float) -> dict[str, float]:
         """Parameters of the distribution, by name; a mean or median that is left out is the nominal value."""
-        numbers = {name: getattr(self, name) for name in type(self).model_fields if name not in _Drawn.model_fields}
-        for middle in {"mean", "median"} & numbers.keys():
-            if numbers[middle] is None:
-                numbers[middle] = {"value": nominal, "factor": 1.0, "offset": 0.0}[self.draws]
+        if self.values is not None:
+            return {"low": min(self.values), "high": max(self.values)}
+        middle = {"value": nominal, "factor": 1.0, "offset": 0.0}[self.draws]
+        numbers = {name: getattr(self, name) for names in _NUMBERS[self.distribution] for name in names}
+        numbers = {
+            name: middle if value is None and name in ("mean", "median") else value for name, value in numbers.items()
+        }
         return {name: value for name, value in numbers.items() if value is not None}
 
     def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
         """Quantiles of the drawn number at these probabilities, around the nominal value of its key."""
+        if self.values is not None:
+            return np.asarray(np.quantile(np.array(self.values), np.asarray(probability, np.float64)), np.float64)
         numbers = self.numbers(nominal)
         low, high = numbers.get("low"), numbers.get("high")
         distribution = _distribution(self.distribution, numbers)
@@ -148,7 +187,7 @@ class _Drawn(Table):
 
     def sample(self, points: Floats, nominal: float) -> Floats:
         """Numbers of the sample whose points have these coordinates, (count,) in [0, 1)."""
-        return self.quantiles(points, nominal)
+        return self.quantiles(points, nominal) if self.values is None else np.array(self.values)
 
     def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> Floats:
         """Values of the key, from the numbers that were drawn and its nominal value."""
@@ -162,60 +201,7 @@ class _Drawn(Table):
         return np.asarray(values, np.float64)
 
 
-class Uniform(_Drawn):
-    """A number that is equally likely anywhere from low to high."""
-
-    distribution: Literal["uniform"]
-    low: float
-    high: float
-
-
-class Normal(_Drawn):
-    """A normal number, by its mean and standard deviation; low and high truncate it."""
-
-    distribution: Literal["normal"]
-    mean: float | None = None
-    std: Positive
-    low: float | None = None
-    high: float | None = None
-
-
-class Lognormal(_Drawn):
-    """A lognormal number, by its median and its logarithm's standard deviation, sigma; low and high truncate it."""
-
-    distribution: Literal["lognormal"]
-    median: Positive | None = None
-    sigma: Positive
-    low: float | None = None
-    high: float | None = None
-
-
-class Triangular(_Drawn):
-    """A number from low to high whose density rises to its peak at mode, and falls from there."""
-
-    distribution: Literal["triangular"]
-    low: float
-    mode: float
-    high: float
-
-
-class Listed(_Drawn):
-    """Listed numbers, one for each draw of the sample; the k-th numbers of several such keys belong together."""
-
-    distribution: Literal["listed"]
-    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_DRAWS)]
-
-    def numbers(self, nominal: float) -> dict[str, float]:
-        """Least and greatest number."""
-        return {"low": min(self.values), "high": max(self.values)}
-
-    def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
-        """Quantiles of the numbers."""
-        return np.asarray(np.quantile(np.array(self.values), np.asarray(probability, np.float64)), np.float64)
-
-    def sample(self, points: Floats, nominal: float) -> Floats:
-        """The numbers themselves."""
-        return np.array(self.values)
+_OF_DISTRIBUTIONS = {name for needed, possible in _NUMBERS.values() for name in (*needed, *possible)}
 
 
 def _distribution(name: str, n: Mapping[str, float]) -> Any:
@@ -231,8 +217,7 @@ def _distribution(name: str, n: Mapping[str, float]) -> Any:
     return stats.triang((n["mode"] - n["low"]) / (n["high"] - n["low"]), n["low"], n["high"] - n["low"])
 
 
-Draw = Uniform | Normal | Lognormal | Triangular | Listed
-Draws = Annotated[tuple[Annotated[Draw, Field(discriminator="distribution")], ...], Field(min_length=1)]
+Draws = Annotated[tuple[Draw, ...], Field(min_length=1)]
 
 
 class Sampling(Table):
@@ -297,7 +282,7 @@ class Sweep(Table):
             yield ("samples",), 'samples do not go with design = "zip"; give one of the two'
         for name, draws in (("samples", self.samples), ("tolerances", self.tolerances)):
             for k, draw in enumerate(draws):
-                if isinstance(draw, Listed) and len(draw.values) != self.sampling.count:
+                if draw.values is not None and len(draw.values) != self.sampling.count:
                     text = f"found {len(draw.values)} values, and sweep.sampling.count is {self.sampling.count}"
                     yield (name, k, "values"), text
         cells = math.prod(counts if self.design == "grid" else counts[:1])

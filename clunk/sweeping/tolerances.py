@@ -57,7 +57,8 @@ class SampleRunner:
         nominal = study.model_copy(update={"sweep": None})
         self.design = design_of(study)
         self._tolerances = study.sweep.tolerances
-        keys = dict.fromkeys(each.parameter for each in (*self.design.columns, *self._tolerances))
+        keys = dict.fromkeys(column.parameter for column in self.design.columns)
+        keys |= dict.fromkeys(draw.parameter for draw in self._tolerances)
         self._grid = Grid(nominal, Design((1,), tuple(Column(key, 0, np.zeros(1)) for key in keys), run=0))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.sweep.sampling.count

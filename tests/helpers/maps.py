@@ -1,5 +1,7 @@
 """Regime maps made of labels and numbers, of which nothing was run."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from clunk.results.maps import Results
@@ -35,3 +37,8 @@ def map_of(axes, labels, sequence, *, title="Map", config="", digest="", attribu
         attributes=attributes or {},
         arrays=plain | arrays,
     )
+
+
+def with_arrays(results, **arrays):
+    """The map with other values of some quantities."""
+    return replace(results, arrays={**results.arrays, **arrays})
