@@ -201,16 +201,20 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
 
 def _measures(trajectory: Trajectory) -> dict[str, Any]:
     """Measures of a run that the config asks for besides Q and V; empty where it asks for none."""
-    from clunk.simulation.measures import measured
+    import numpy as np
+
+    from clunk.sweeping.cells import Grid
 
     study = trajectory.study
     if not study.measured:
         return {}
-    totals, of_impacts = measured(trajectory)
+    cell = Grid(study.model_copy(update={"sweep": None})).run_at(np.arange(1), {}, np.zeros(1, np.uint8))
+    behind = np.cumsum(cell.records["primary_impacts"])[trajectory.lash]
+    of_lash = cell.details[behind - trajectory.primaries.size : behind]
     wanted = [*study.impacts.quantities, *(each.name for each in study.measures)]
     return {
-        "measures": {name: totals[name] for name in wanted},
-        "impact_measures": {name: of_impacts[name].tolist() for name in study.impacts.quantities},
+        "measures": {name: float(cell.records[name][trajectory.lash]) for name in wanted},
+        "impact_measures": {name: of_lash[name].tolist() for name in study.impacts.quantities},
     }
 
 

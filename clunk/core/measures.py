@@ -28,7 +28,7 @@ from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
 from clunk.core.severity import root_of_squares
 from clunk.core.status import Status
 from clunk.core.switching import set_weighed
-from clunk.core.tile import Cases, Output
+from clunk.core.tile import Batch, Cases, Output
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -63,21 +63,13 @@ class Room(NamedTuple):
     of_impacts: FloatArray  # (impacts, OF_IMPACTS)  output
 
 
-def measure_runs(
-    system: System,
-    each: Each,
-    channels: Channels,
-    cases: Cases,
-    output: Output,
-    totals: FloatArray,
-    of_impacts: FloatArray,
-) -> None:
+def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray, of_impacts: FloatArray) -> None:
     """Measure the runs of some cells; those that failed are not touched.
 
     Parameters
     ----------
-    system, each, channels
-        Of the drivelines of a batch, as `tile.Batch`.
+    batch
+        With channels.
     cases, output
         As of `tile.run_tile`, with states; in the logs the times behind a run's events are NaN.
     totals : (cells, L, OF_IMPACTS + measures) float64
@@ -86,6 +78,8 @@ def measure_runs(
         Output, zeros before: impulse [N m s], peak torque [N m] and energy [J] of each of the impacts, if
         `channels.of_impacts`.
     """
+    system, each, _, channels = batch
+    assert channels is not None
     size, count, lashes = channels.rates.shape[-1], channels.series.shape[2], system.lashes.shape[0]
     room = Room(
         z=np.zeros(size),

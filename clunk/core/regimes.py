@@ -25,8 +25,6 @@ from clunk.core.reductions import chain, locked
 from clunk.core.status import Status
 from clunk.core.tables import (
     ACCELERATION,
-    CLOSED_NEGATIVE,
-    CLOSED_POSITIVE,
     FORCE,
     GAP,
     HOLDING,
@@ -221,12 +219,6 @@ def lash_of(system: System, regime: int, guard: int) -> int:
     return int(system.guards[regime, guard].lash)
 
 
-@part
-def closed_on(side: int) -> int:
-    """The state of a lash in contact on the flank of `side` (+1 or -1)."""
-    return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
-
-
 @inlined_part
 def opened(system: System, regime: int, lash: int) -> int:
     """The regime that differs in that a lash is open."""
@@ -259,10 +251,11 @@ def build_system(
     lashes: Sequence[Lash],
     end_time: Number,
     rigid: RigidMotion,
-    wave_rates: FloatArray | None = None,
-    ramps: bool = False,
-    staged: Sequence[StagedShaft] = (),
-    frictions: Sequence[Friction] = (),
+    wave_rates: FloatArray | None,
+    ramps: bool,
+    staged: Sequence[StagedShaft],
+    loose: Sequence[bool],
+    frictions: Sequence[Friction],
 ) -> System:
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
@@ -288,6 +281,9 @@ def build_system(
         Whether the torque's rate of change, an input, can be other than zero.
     staged : of StagedShaft
         Shafts whose stiffness is not part of `stiffness`.
+    loose : of bool
+        Whether a part of the driveline is free to turn in one combination of stages, with all lashes closed, that is
+        not so in others.
     frictions : of Friction
     """
     (*batch, n), count, stride = inertia.shape, len(lashes), functionals_of(lashes)
@@ -364,7 +360,7 @@ def build_system(
     compliance = _of_lashes([0.0 if impulsive else 1.0 / lash.stiffness for lash in lashes])
     momentum = inertia[..., None] * rigid.shape
     for k, spring in enumerate(springs if motions <= 1 else []):
-        if staged and _is_loose(spring, inertia, twists, motions):
+        if loose[k]:
             steady[..., k, :, :] = np.nan  # no equilibrium, or many
             continue
         angles, carried[..., k, :, :] = preload(spring, torques, twists, gaps, momentum, compliance)
@@ -512,18 +508,6 @@ def _in_each_flow(number: FloatArray | float) -> FloatArray:
 def _behind_zeros(array: FloatArray) -> FloatArray:
     """An array whose last dimension is twice as long, by zeros in front."""
     return np.concatenate([np.zeros_like(array), array], axis=-1)
-
-
-def _is_loose(stiffness: FloatArray, inertia: FloatArray, lashes: FloatArray, motions: int) -> bool:
-    """Whether springs and the closed lashes leave the driveline more rigid-body motions than it has in other stages."""
-    root = np.sqrt(inertia)
-    scaled = stiffness / (root[..., :, None] * root[..., None, :])
-    tied = lashes / root[..., None, :]
-    units = tied / np.linalg.norm(tied, axis=-1, keepdims=True)
-    largest = np.abs(scaled).max(axis=(-2, -1), keepdims=True)
-    joined = scaled + largest * np.swapaxes(units, -1, -2) @ units
-    rank = np.linalg.matrix_rank(joined, rtol=_SINGULAR, hermitian=True)
-    return bool(alike(rank < inertia.shape[-1] - motions, 0))
 
 
 def _wider(array: FloatArray) -> FloatArray:

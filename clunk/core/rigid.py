@@ -15,7 +15,6 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
     ROUNDING,
     System,
-    closed_on,
     frictions_of,
     gap_input,
     lash_of,
@@ -23,7 +22,7 @@ from clunk.core.regimes import (
     opened,
 )
 from clunk.core.runs import Entry, Log, record
-from clunk.core.tables import FORCE
+from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -172,7 +171,7 @@ def release(
         _hold(system, others, lash, x, side * half_gap)
         record(log, count, time, 0.0, row.event_kind, row.successor, lash, side, x)
         free = opened(system, regime, lash)
-        successor = free + closed_on(-side) * system.regime_strides[lash]
+        successor = free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * system.regime_strides[lash]
         record(log, count + 1, time, 0.0, TOUCH, free, lash, -side, x)
         record(log, count + 2, time, 0.0, LOCK, successor, lash, -side, x)
         return Entry(count + 3, successor, 0, 1)
@@ -222,7 +221,7 @@ def _resting_on(system: System, regime: int, x: FloatArray, inputs: FloatArray, 
                 last -= 1
             if log.events[last].kind != SEPARATION:
                 twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
-                regime += closed_on(1 if twist > 0.0 else -1) * system.regime_strides[lash]
+                regime += (CLOSED_POSITIVE if twist > 0.0 else CLOSED_NEGATIVE) * system.regime_strides[lash]
     return int(regime)
 
 

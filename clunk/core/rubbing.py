@@ -58,7 +58,7 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
         Of an impact before, of which rates have the rounding.
     """
     for k in range(frictions_of(system)):
-        state, (rate, most) = STICKS, _rate(system, k, speed, x)
+        state, (rate, most) = STICKS, _rate(system, system.frictions[k], speed, x)
         if abs(rate) > _WITHIN * most:
             state = SLIPS_FORWARD if rate > 0.0 else SLIPS_BACKWARD
         regime += stride_of_friction(system, k) * (state - state_of_friction(system, regime, k))
@@ -96,7 +96,7 @@ def settle(
         if ended >= 0 and system.guards[regime, ended].functional - rate_of_friction(system, k) in (0, 1):
             event = k
     for k in range(count):
-        rate, most = _rate(system, k, 0.0, x)
+        rate, most = _rate(system, system.frictions[k], 0.0, x)
         _, speeds_up = change_of(system, regime, system.frictions[k], x, inputs)
         most += speeds_up * time  # no rate is known better than its time
         rests = k == event or state_of_friction(system, regime, k) == STICKS or abs(rate) <= _WITHIN * most
@@ -114,7 +114,7 @@ def settle(
         if state == STICKS:
             if state_of_friction(system, regime, k) != STICKS:
                 inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
-        elif resting >> k & 1 and not _is_held(system, best, k):
+        elif resting >> k & 1 and not _is_held(system, best, rate_of_friction(system, k)):
             way = 1.0 if state == SLIPS_FORWARD else -1.0
             speeds_up, size = change_of(system, best, system.frictions[k], x, inputs)
             clearly = abs(speeds_up) > _WITHIN * size
@@ -122,7 +122,7 @@ def settle(
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = _guard_of(system, best, k), 1 if clearly else 2
             elif not clearly:
-                fastest = _rate(system, k, 0.0, x)[1] + _MOMENT * size
+                fastest = _rate(system, system.frictions[k], 0.0, x)[1] + _MOMENT * size
                 _set_off(system, k, _KICK * way * fastest, x)
     return best, zero_guard, zero_order
 
@@ -234,7 +234,7 @@ def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: F
         leaves = torque * holding_slope(system, regime, functional, x, inputs)[0] > 0.0
         if leaves and system.impulsive != 0:  # at F, and not only at the little more that it holds
             beyond = max(beyond, min(abs(torque) - most / (1.0 + ABOVE), 0.0))
-    elif _is_held(system, regime, friction):
+    elif _is_held(system, regime, rate_of_friction(system, friction)):
         return 0.0
     else:
         way = 1.0 if state == SLIPS_FORWARD else -1.0
@@ -313,14 +313,14 @@ def _jerk(system: System, regime: int, friction: int, x: FloatArray, inputs: Flo
 
 
 @part
-def _rate(system: System, friction: int, fastest: float, x: FloatArray) -> tuple[float, float]:
-    """The rate of twist of a friction, and the most that it could be at the fastest inertia's speed  [rad/s]."""
-    value, weights = 0.0, 0.0
+def _rate(system: System, weights: FloatArray, fastest: float, x: FloatArray) -> tuple[float, float]:
+    """The rate, weights (N,) times the state, and the most that it could be at the fastest inertia's speed  [rad/s]."""
+    value, total = 0.0, 0.0
     for k in range(system.inertias, 2 * system.inertias):
-        value += system.frictions[friction, k] * x[k]
-        weights += abs(system.frictions[friction, k])
+        value += weights[k] * x[k]
+        total += abs(weights[k])
         fastest = max(fastest, abs(x[k]))
-    return value, weights * fastest
+    return value, total * fastest
 
 
 @part
@@ -334,28 +334,23 @@ def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float,
 
 
 @part
-def _is_held(system: System, regime: int, friction: int) -> bool:
-    """Whether the rate of twist of a friction stays zero for others, so that it has no functional."""
-    rate, flow = rate_of_friction(system, friction), system.regimes[regime].flow
-    weights = 0.0
-    for k in range(2 * system.inertias):
-        weights += abs(system.functionals[flow, rate, k])
+def _is_held(system: System, regime: int, functional: int) -> bool:
+    """Whether what a functional tells stays zero in a regime, held by others, so that it is none."""
+    flow, weights = system.regimes[regime].flow, 0.0
+    for by in (system.functionals, system.feedthrough):
+        for k in range(by.shape[2]):
+            weights += abs(by[flow, functional, k])
     return bool(weights == 0.0)
 
 
 @part
 def is_carried(system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray) -> bool:
     """Whether the rigid flanks of an open lash rest on each other, and what sticks or is locked holds them there."""
-    functional, held = lash * system.functionals_per_lash + FORCE, 0.0
-    for weights in (system.functionals, system.feedthrough):
-        for k in range(weights.shape[2]):
-            held += abs(weights[system.regimes[regime].flow, functional, k])
     half_gap, (twist, size) = inputs[gap_input(lash)], twist_of(system, system.lashes[lash], x)
-    rate, fastest = 0.0, 0.0
-    for k in range(system.inertias, 2 * system.inertias):
-        rate, fastest = rate + system.lashes[lash, k] * x[k], max(fastest, abs(x[k]))
-    touches = half_gap - abs(twist) <= _WITHIN * (half_gap + size)
-    return bool(frictions_of(system) > 0 and held == 0.0 and touches and abs(rate) <= _WITHIN * fastest)
+    rests = half_gap - abs(twist) <= _WITHIN * (half_gap + size)
+    rate, most = _rate(system, system.lashes[lash], 0.0, x)
+    held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
+    return bool(frictions_of(system) > 0 and held and rests and abs(rate) <= _WITHIN * most)
 
 
 @part

@@ -77,17 +77,15 @@ class Cases(NamedTuple):
     before: FloatArray  # (cells, INPUTS + L - 1)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (cells or 1, P, PIECE)  after it
     drivelines: IntArray  # (cells or 1,)  which of a batch
-    # where that is not steady motion in contact: the state at the load step
-    states: FloatArray = np.zeros((0, 0))  # (cells or 0, N)  [rad, rad/s]
+    # where a run does not begin in steady motion in contact
+    states: FloatArray = np.zeros((0, 0))  # (cells or 0, N)  at the load step  [rad, rad/s]
     regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  in which it is
 
     def at(self, index: npt.NDArray[np.intp] | slice) -> "Cases":
         """The cells at these positions."""
         loads = self.loads if len(self.loads) == 1 else self.loads[index]
         drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
-        if not self.regimes.size:
-            return Cases(self.before[index], loads, drivelines)
-        return Cases(self.before[index], loads, drivelines, self.states[index], self.regimes[index])
+        return Cases(self.before[index], loads, drivelines)
 
 
 class Output(NamedTuple):
@@ -132,20 +130,13 @@ class Batch(NamedTuple):
     tables: Steps | Flows  # of one driveline; or with an axis of D in front
     channels: Channels | None = None  # what is measured, if anything is
 
-    def of(self, driveline: int) -> tuple[System, Steps | Flows]:
-        """The system and the tables of one driveline."""
-        numbers = {name: array[driveline] for name, array in zip(Each._fields, self.each, strict=True)}
-        tables = self.tables
+    def at(self, drivelines: npt.NDArray[np.intp] | list[int]) -> "Batch":
+        """The batch of some of the drivelines."""
+        each, tables, channels = Each._make(array[drivelines] for array in self.each), self.tables, self.channels
         if isinstance(tables, Flows):
-            tables = Flows._make(table[driveline] for table in tables)
-        return self.system._replace(**numbers), tables
-
-    def only(self, driveline: int) -> "Batch":
-        """The batch of one of the drivelines."""
-        if len(self.each.rates) == 1:
-            return self
-        channels = None if self.channels is None else self.channels.at([driveline])
-        return batch_of(*self.of(driveline), channels)
+            tables = Flows._make(table[drivelines] for table in tables)
+        first = {name: array[0] for name, array in each._asdict().items()}
+        return Batch(self.system._replace(**first), each, tables, channels and channels.at(drivelines))
 
 
 def batch_of(system: System, tables: Steps | Flows, channels: Channels | None = None) -> Batch:

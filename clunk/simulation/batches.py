@@ -104,18 +104,16 @@ def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]
     system, flows = prepare(study, line) if exact else (build(study, line), None)
     each = Each._make(getattr(system, name) for name in Each._fields)
     channels = channels_of(study, line, system, each) if study.measured else None
-    shapes = np.arange(len(each.rates))[:, None]
-    if isinstance(flows, Flows):  # what a step asks of a flow as a whole
-        shapes = np.concatenate([flows.modal, flows.steady, flows.rolls], axis=1)
-    _, shape_of = np.unique(shapes, axis=0, return_inverse=True)
-    for shape in range(shape_of.max() + 1):
-        some = np.flatnonzero(shape_of.ravel() == shape)
-        part = Each._make(array[some] for array in each) if some.size < len(shapes) else each
-        first = system._replace(**{name: array[0] for name, array in zip(Each._fields, part, strict=True)})
-        of_part = None if channels is None else channels.at(some)
-        if isinstance(flows, Flows):
-            tables = Flows._make(table[some] for table in flows) if some.size < len(shapes) else flows
-            yield some, Batch(first, part, tables, of_part)
-        else:
-            step = study.solver.step if steps is None else float(steps[some[0]])
-            yield some, batch_of(*with_steps(first, step), of_part)
+    if isinstance(flows, Flows):
+        # one batch has one answer to what a step asks of a flow as a whole
+        answers = np.concatenate([flows.modal, flows.steady, flows.rolls], axis=1)
+        _, part_of = np.unique(answers, axis=0, return_inverse=True)
+        batch = Batch(system, each, flows, channels)
+        for part in range(part_of.max() + 1):
+            some = np.flatnonzero(part_of.ravel() == part)
+            yield some, batch.at(some)
+        return
+    for k in range(len(each.rates)):
+        first = system._replace(**{name: array[k] for name, array in each._asdict().items()})
+        step = study.solver.step if steps is None else float(steps[k])
+        yield np.array([k]), batch_of(*with_steps(first, step), channels and channels.at([k]))

@@ -278,6 +278,7 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
     driveline = driveline or Driveline.from_study(study)
     rates = wave_rates(study.load, driveline.varied)
     is_ramp = rates is None and is_moving(study.load)
+    staged, motions = [shaft for _, shaft in driveline.staged], driveline.rigid_motion.shape.shape[-1]
     return build_system(
         inertia=driveline.inertia,
         damping=driveline.damping,
@@ -288,7 +289,8 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
         rigid=driveline.rigid_motion,
         wave_rates=np.array([[0.0, 1.0], [0.0, 0.0]]) if is_ramp and not ramps else rates,
         ramps=is_ramp and ramps,
-        staged=[shaft for _, shaft in driveline.staged],
+        staged=staged,
+        loose=[driveline.in_stages(each).rigid_motion.shape.shape[-1] > motions for each in stages_of(staged)],
         frictions=[friction for friction, _ in driveline.frictions],
     )
 

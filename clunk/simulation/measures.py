@@ -1,37 +1,17 @@
-"""Measures of a study's runs: what is measured of a driveline as channels, and the measures of one run."""
-
-from typing import NamedTuple
+"""What is measured of a driveline in a study's runs, as channels."""
 
 import numpy as np
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_TO_PEAK, Channels, tabulate
-from clunk.core.measures import measure_runs
-from clunk.core.regimes import Each, System, alone
+from clunk.core.regimes import Each, System
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
-from clunk.core.tile import CELL, IMPACT, Cases, Output
-from clunk.simulation.driveline import Driveline, build
-from clunk.simulation.load import run_load
-from clunk.simulation.trajectory import Trajectory
+from clunk.simulation.driveline import Driveline
 from clunk.study.arrays import Floats
-from clunk.study.models import OF_IMPACTS as NAMES
 from clunk.study.models import Measure, Part, parts_of
 from clunk.study.study import Study
 
 
-class Measures(NamedTuple):
-    """Measures of a run.
-
-    totals : by name, the roots of the summed squares of the values of a lash's impacts, and the config's measures
-    of_impacts : by name, (P,) float64, impulse [N m s], peak torque [N m] and energy [J] of its primary impacts
-    """
-
-    totals: dict[str, float]
-    of_impacts: dict[str, Floats]
-
-
-def channels_of(
-    study: Study, line: Driveline, system: System, each: Each, *, of_impacts: bool | None = None
-) -> Channels:
+def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Channels:
     """The channels of a study's measures.
 
     Parameters
@@ -40,8 +20,6 @@ def channels_of(
         Of the study, or a batch of D that have other numbers.
     system, each
         Of them, as in `clunk.core.tile.Batch`.
-    of_impacts : bool, optional
-        Whether primary impacts are measured too; by default if the config says so.
     """
     measures, parts = study.measures, parts_of(study)
     n, lashes = system.inertias, line.lashes.shape[-2]
@@ -60,7 +38,7 @@ def channels_of(
     pressed = 0.0 if system.impulsive else 1.0
     return Channels(
         *tabulate(each, rows, system),
-        of_impacts=int(bool(study.impacts.quantities) if of_impacts is None else of_impacts),
+        of_impacts=int(bool(study.impacts.quantities)),
         reductions=np.array([{"peak-to-peak": PEAK_TO_PEAK}.get(each.reduce, LARGEST) for each in measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
         contact_damping=pressed * np.atleast_2d(line.contact_dampings),
@@ -124,25 +102,3 @@ def _row(
             row[:, torque_at] += share
         torque_at, holding = torque_at + OF_FRICTION, holding + OF_FRICTION
     return row
-
-
-def measured(trajectory: Trajectory) -> Measures:
-    """Measures of one run: of the primary impacts of its lash, and those of its config."""
-    study, system, phases = trajectory.study, build(trajectory.study), trajectory.phases
-    channels = channels_of(study, Driveline.from_study(study), system, alone(system), of_impacts=True)
-    before, load = run_load(study)
-    cells = np.zeros((1, len(study.lashes)), CELL)
-    cells["primary_impacts"] = [primaries.size for primaries in trajectory.primaries_of]
-    primaries = np.concatenate(trajectory.primaries_of)
-    impacts = np.zeros(primaries.size, IMPACT)
-    impacts["time"] = trajectory.events["time"][primaries]
-    totals = np.zeros((*cells.shape, len(NAMES) + len(study.measures)))
-    of_impacts = np.zeros((impacts.size, len(NAMES)))
-    cases = Cases(before[None], load[None], np.zeros(1, np.int64))
-    output = Output(cells, impacts, phases[None], trajectory.phase_states[None])
-    measure_runs(system, alone(system), channels, cases, output, totals, of_impacts)
-    names, part = (*NAMES, *(each.name for each in study.measures)), np.cumsum(cells["primary_impacts"])[:-1]
-    of_lash = np.split(of_impacts, part)[trajectory.lash]
-    return Measures(
-        dict(zip(names, totals[0, trajectory.lash].tolist(), strict=True)), dict(zip(NAMES, of_lash.T, strict=True))
-    )

@@ -181,7 +181,8 @@ class Grid:
         room = min(kernel.EVENTS, most)
         while positions.size and not stop[0]:
             if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
-                batch, cases = batch.only(int(cases.drivelines[0])), cases._replace(drivelines=_THE_ONLY)
+                batch = batch.at(cases.drivelines[:1]) if len(batch.each.rates) > 1 else batch
+                cases = cases._replace(drivelines=_THE_ONLY)
             rows, impacts = run(batch, cases, stop, room)
             full = (rows["status"][::lashes] == Status.EVENT_BUFFER_FULL) & (room < most)
             yield positions[: full.size][~full], rows[np.repeat(~full, lashes)], impacts
@@ -236,8 +237,6 @@ class Grid:
         self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int
     ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs with measures, as the grid's layout has them."""
-        channels = batch.channels
-        assert channels is not None
         runs, size, capacity = len(cases.before), batch.system.rates.shape[1], room + 1
         each = min(max(_STATES // capacity, 1), runs)
         logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
@@ -250,7 +249,7 @@ class Grid:
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.zeros((details.size, OF_IMPACTS))
             output = kernel.Output(cells, details, logs, states)
-            measure_runs(batch.system, batch.each, channels, part, output, totals, of_impacts)
+            measure_runs(batch, part, output, totals, of_impacts)
             names = self.study.impacts.quantities
             columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
             records.append(_joined(rows, self.layout.record, totals[..., columns].reshape(rows.size, -1)))

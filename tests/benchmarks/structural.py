@@ -157,7 +157,7 @@ def states_of(study: clunk.Study, values: dict[str, np.ndarray]) -> np.ndarray:
     states = np.empty((len(columns), 2 * len(study.driveline.inertias)))
     for positions, batch in batches.prepare_many(study, DRAWN, columns):
         for number, k in enumerate(positions):
-            states[k] = preload(batch.of(number)[0], before).x
+            states[k] = preload(batch.at([number]).system, before).x
     return states
 
 

@@ -36,7 +36,7 @@ class Steps(NamedTuple):
     observe_input: FloatArray  # (L, I, outputs)
     # a bound on all that can follow: amplitudes of decaying modes
     provable: IntArray  # (L,)  whether the flow's modes give such a bound
-    mode_rows: FloatArray  # (L, 2, N, N)  real and imaginary part of the left eigenvectors, one of each pair
+    mode_rows: npt.NDArray[np.complex128]  # (L, N, N)  left eigenvectors, one of each pair
     mode_reach: FloatArray  # (L, F, N)  largest change of a functional per unit amplitude of a mode
     rest_state: FloatArray  # (L, N, I)  steady motion per unit of the inputs, without its drift
     rest_functional: FloatArray  # (L, F, I)
@@ -143,7 +143,7 @@ def _modal_bound(system: System, step: float) -> tuple[Any, ...]:
     held = held_inputs(lashes, rubbing, driven)
     stuck_stride = flows >> rubbing
     provable = np.zeros(flows, dtype=np.int64)
-    mode_rows = np.zeros((flows, 2, size, size))
+    mode_rows = np.zeros((flows, size, size), np.complex128)
     mode_reach = np.zeros((flows, functionals.shape[1], size))
     rest_state = np.zeros((flows, size, driven))
     rest_functional = np.zeros((flows, functionals.shape[1], driven))
@@ -166,9 +166,8 @@ def _modal_bound(system: System, step: float) -> tuple[Any, ...]:
             continue
         provable[flow] = 1
         count = eigenvalues.size
-        left = np.linalg.inv(right) @ pick
         weight = np.where(eigenvalues.imag > 0, 2.0, np.where(eigenvalues.imag < 0, 0.0, 1.0))
-        mode_rows[flow, 0, :count, :states], mode_rows[flow, 1, :count, :states] = left.real, left.imag
+        mode_rows[flow, :count, :states] = np.linalg.inv(right) @ pick
         mode_reach[flow, :, :count] = weight * np.abs(functionals[flow] @ expand @ right)
         forcing = inputs[flow].copy()
         forcing[:, held] += rates[flow] @ shift

@@ -67,13 +67,12 @@ def _reach(steps: Steps, flow: int, room: Room, x: FloatArray, reach: FloatArray
             widest = max(widest, steps.mode_reach[flow, functional, mode])
         if widest == 0.0:
             continue  # the other one of a complex pair, or without effect on anything that is watched
-        real, imaginary = 0.0, 0.0
+        total = 0j
         for k in range(size):
             away = x[k]
             for j in range(room.weighed.size):
                 away -= steps.rest_state[flow, k, j] * room.weighed[j]
-            real += steps.mode_rows[flow, 0, mode, k] * away
-            imaginary += steps.mode_rows[flow, 1, mode, k] * away
-        amplitude = np.sqrt(real * real + imaginary * imaginary)
+            total += steps.mode_rows[flow, mode, k] * away
+        amplitude = np.sqrt(total.real * total.real + total.imag * total.imag)
         for functional in range(watched):
             reach[functional] += amplitude * steps.mode_reach[flow, functional, mode]
