@@ -45,7 +45,6 @@ step        rk4: a step of the time grid; exact: a span, or a part of the shorte
 span        one of a ladder of time intervals, two an octave, for which a flow's propagator is tabulated
 origin      a particular solution of a flow, which the modal coordinates are measured from
 steady      of a flow: the functionals of its origin rest under a constant torque; still: and so under this load
-rolls       of a steady flow: its angles go on all the same, which no functional depends on
 rolled      by what angle of the first inertia that rolls a run's angles, which are less that, have turned together
 pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
 group       regimes with one flow and, but for the sides, the same guards, whose runs take steps together

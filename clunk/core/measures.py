@@ -21,8 +21,8 @@ import numpy.typing as npt
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.jit import compiled, part
-from clunk.core.references import put, refer, reference_at, words_of
-from clunk.core.regimes import Each, System, gap_input
+from clunk.core.references import refer, reference_at, rows_of
+from clunk.core.regimes import System, gap_input
 from clunk.core.rigid import held_with
 from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
 from clunk.core.severity import root_of_squares
@@ -59,7 +59,7 @@ class Room(NamedTuple):
     high: FloatArray  # (C,)
     first: IntArray  # (L + 1,)  the row of each lash's first primary impact
     row: IntArray  # (L,)  and of its last one so far, the row before that where there is none
-    systems: IntArray  # (D, …)  of each driveline, see `references.put`
+    systems: IntArray  # (D, …)  of each driveline, see `references.rows_of`
     of_impacts: FloatArray  # (impacts, OF_IMPACTS)  output
 
 
@@ -91,10 +91,10 @@ def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray,
         high=np.zeros(count),
         first=np.zeros(lashes + 1, np.int64),
         row=np.zeros(lashes, np.int64),
-        systems=np.empty((len(channels.rates), words_of(system)), np.int64),
+        systems=rows_of(system, each),
         of_impacts=of_impacts,
     )
-    _measure_runs(system, each, channels, cases, output, room, totals)
+    _measure_runs(system, channels, cases, output, room, totals)
     if system.impulsive:
         totals[..., PEAK_TORQUE] = of_impacts[..., PEAK_TORQUE] = np.nan
 
@@ -102,17 +102,14 @@ def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray,
 @compiled
 def _measure_runs(
     system: System,
-    each: Each,
     channels: Channels,
     cases: Cases,
     output: Output,
     room: Room,
     totals: FloatArray,
 ) -> None:
-    system, each, channels, room = refer(system), refer(each), refer(channels), refer(room)
+    system, channels, room = refer(system), refer(channels), refer(room)
     cases, output, first = refer(cases), refer(output), room.first
-    for k in range(room.systems.shape[0]):
-        put(system, each, k, room.systems)
     for k in range(output.cells.shape[0]):
         first[0] = first[room.row.size]
         for lash in range(room.row.size):

@@ -88,51 +88,38 @@ def _reference(_: Any, values: Any) -> Any:
     return (values(values), _same) if isinstance(values, Reference) else (Reference(values)(values), _refer)
 
 
-def _row(context: Any, builder: ir.IRBuilder, kept: Any, value: Any, row: Any, of: Any) -> Any:
-    """A pointer to the tuple in a row of an array of words."""
-    array = context.make_array(kept)(context, builder, value)
-    at = cgutils.get_item_pointer(context, builder, kept, array, [row, context.get_constant(types.intp, 0)])
-    return builder.bitcast(at, context.get_value_type(of).as_pointer())
-
-
 @intrinsic
-def _put(_: Any, values: Any, each: Any, k: Any, kept: Any) -> Any:
+def _reference_at(_: Any, rows: Any, k: Any, like: Any) -> Any:
     def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-        pointers = zip((values.of, each.of), arguments, strict=False)
-        first, others = (builder.bitcast(at, context.get_value_type(of).as_pointer()) for of, at in pointers)
-        to = _row(context, builder, kept, arguments[3], arguments[2], values.of)
-        builder.store(builder.load(first), to)
-        for n, name in enumerate(each.of.fields):
-            index, field = values.field(name)
-            batch = context.make_array(tuple(each.of)[n])(
-                context, builder, ref=cgutils.gep_inbounds(builder, others, 0, n)
-            )
-            array = context.make_array(field)(context, builder, ref=cgutils.gep_inbounds(builder, to, 0, index))
-            stride = builder.extract_value(batch.strides, 0)
-            start = builder.add(builder.ptrtoint(batch.data, stride.type), builder.mul(arguments[2], stride))
-            array.data = builder.inttoptr(start, array.data.type)
-        return context.get_dummy_value()
+        array, first = context.make_array(rows)(context, builder, arguments[0]), context.get_constant(types.intp, 0)
+        at = cgutils.get_item_pointer(context, builder, rows, array, [arguments[1], first])
+        return builder.bitcast(at, cgutils.voidptr_t)
 
-    return types.none(values, each, types.intp, kept), emit
+    return like(rows, types.intp, like), emit
 
 
-@intrinsic
-def _reference_at(_: Any, kept: Any, k: Any, like: Any) -> Any:
-    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-        return builder.bitcast(_row(context, builder, kept, arguments[0], arguments[1], like.of), cgutils.voidptr_t)
+def rows_of(values: Any, each: Any) -> npt.NDArray[np.int64]:
+    """A named tuple of numbers and arrays in the words by which compiled functions know it, D times.
 
-    return like(kept, types.intp, like), emit
-
-
-def words_of(values: tuple[Any, ...]) -> int:
-    """How many words of an array of int64 hold a named tuple of numbers and arrays: numba's arrays are a structure."""
-    return sum(5 + 2 * np.ndim(field) for field in values)
+    In row k each of its arrays that the named tuple `each` has, too, is `each.NAME[k]`. Rows hold bare pointers: the
+    arrays are to outlive them.
+    """
+    words: list[int] = []
+    data = {}
+    for name, field in zip(values._fields, values, strict=True):
+        data[name] = len(words) + 4
+        if isinstance(field, np.ndarray):  # as numba has it, of no owner
+            words += [0, 0, field.size, field.itemsize, field.ctypes.data, *field.shape, *field.strides]
+        else:
+            words.append(field)
+    drivelines = np.arange(len(each[0]))
+    rows = np.tile(np.array(words), (drivelines.size, 1))
+    for name, array in zip(each._fields, each, strict=True):
+        rows[:, data[name]] = array.ctypes.data + drivelines * array.strides[0]
+    return rows
 
 
 # A reference to a named tuple, good in the compiled function that was passed the tuple.
 refer = cast(Callable[[Tuple], Tuple], _reference)
-# Copy the tuple into row k of such an array, with each of its arrays that `each` names pointing to `each.NAME[k]`. Rows
-# hold bare pointers: `each` is to outlive them.
-put = cast(Callable[[object, object, int, npt.NDArray[np.int64]], None], _put)
-# A reference to the tuple that is kept in a row, of the same type as another reference.
+# A reference to the tuple in row k of `rows_of`, of the same type as another reference.
 reference_at = cast(Callable[[npt.NDArray[np.int64], int, Tuple], Tuple], _reference_at)

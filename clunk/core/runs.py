@@ -33,8 +33,8 @@ class Log(NamedTuple):
     """Buffers for a run's events, of which event 0 is the load step, and for what goes with each; L lashes."""
 
     events: npt.NDArray[np.void]  # (capacity,) EVENT
-    # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]; by the exact method
-    # perhaps of a phase before it in the same window: only the extremes of a whole window tell anything
+    # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]; by the exact method of
+    # all of its window so far, and nothing that is finite before the first primary impact
     extremes: FloatArray
     margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.run; NaN by rk4
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept

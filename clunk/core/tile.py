@@ -15,7 +15,6 @@ from clunk.core.exact.workspace import (
     Workspace,
     log_of,
     make_workspace,
-    put_systems,
     system_at,
     system_of,
     waiting_queues,
@@ -121,7 +120,7 @@ def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray
 class Batch(NamedTuple):
     """Drivelines that differ in inertias, stiffnesses, dampings and radii only: for rk4 one, else any number D of them.
 
-    All have the same `modal`, `steady` and `rolls` in their `Flows` (`simulation.batches` sees to that),
+    All have the same `modal` and `steady` in their `Flows` (`simulation.batches` sees to that),
     and the same fields of `System` that `Each` does not name: of these the first driveline's are read for all.
     """
 
@@ -182,9 +181,10 @@ def run_tile(
     several = len(system.regime_strides) > 2
     under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables)) if several else UNDER_WAY
     slots = min(under_way, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
-    space, free = make_workspace(system, tables, cases.loads, slots, capacity, states), np.arange(slots)
+    space = make_workspace(system, each, tables, cases.loads, slots, capacity, states)
+    free = np.arange(slots)
     begins, impacts = np.full(cells - first, -1), output.impacts
-    done: int = by_exact(space, each, undecided, cases, first, max_events, output, scratch, free, begins, stop)
+    done: int = by_exact(space, undecided, cases, first, max_events, output, scratch, free, begins, stop)
     # runs were over in any order: put their impacts in that of the cells
     counts = output.cells["primary_impacts"][first:done].sum(axis=1, dtype=np.int64)
     behind = np.cumsum(counts)
@@ -229,7 +229,6 @@ def by_rk4(
 @compiled
 def by_exact(
     space: Workspace,
-    each: Each,
     undecided: float,
     cases: Cases,
     first: int,
@@ -249,8 +248,7 @@ def by_exact(
     begins : (cells,) int64
         Output, where the impacts of each cell from `first` on begin; -1 until the cell is done.
     """
-    space, each, cases, output, scratch = refer(space), refer(each), refer(cases), refer(output), refer(scratch)
-    put_systems(space, each)
+    space, cases, output, scratch = refer(space), refer(cases), refer(output), refer(scratch)
     cells, impacts, x, pool, over = output.cells, output.impacts, scratch.x, space.pool, space.queues.over
     slots = spare = free.size
     admitted, oldest, written, full = first, first, 0, False

@@ -106,7 +106,7 @@ def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]
     channels = channels_of(study, line, system, each) if study.measured else None
     if isinstance(flows, Flows):
         # one batch has one answer to what a step asks of a flow as a whole
-        answers = np.concatenate([flows.modal, flows.steady, flows.rolls], axis=1)
+        answers = np.concatenate([flows.modal, flows.steady], axis=1)
         _, part_of = np.unique(answers, axis=0, return_inverse=True)
         batch = Batch(system, each, flows, channels)
         for part in range(part_of.max() + 1):

@@ -13,7 +13,6 @@ from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SWAY, V
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Table, Vector, fused
-from clunk.core.tables import INPUTS, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -79,18 +78,10 @@ def evaluate(watch: Table, work: FloatArray, size: int, bounded: bool) -> tuple[
 
 
 @inlined_part
-def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int, ramps: bool) -> Vector:
-    """Weights times inputs, which are `driven` rows of lanes from `at` on; rounded once a term.
-
-    ramps : whether the torque's rate of change can be other than zero
-    """
+def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int) -> Vector:
+    """Weights times inputs, which are `driven` rows of lanes from `at` on; rounded once a term."""
     total = vectors.load(inputs, at) * vectors.number(weights, first)
-    for k in range(1, TORQUE_RATE):
-        total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
-    if ramps:
-        last = vectors.number(weights, first + TORQUE_RATE * stride)
-        total = fused(vectors.load(inputs, at + TORQUE_RATE), last, total)
-    for k in range(INPUTS, driven):
+    for k in range(1, driven):
         total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
     return total
 
@@ -104,7 +95,6 @@ def origin(
     at: int,
     driven: int,
     still: bool,
-    ramps: bool,
     elapsed: Vector,
 ) -> Origin:
     """A functional's origin after a time.
@@ -112,15 +102,14 @@ def origin(
     output : of (4, F, I) numbers, functionals : F
     inputs : (…, W) float64, `driven` rows from `at` on
     still : whether it does not move
-    ramps : whether the torque's rate of change can be other than zero
     """
     first, order = f * driven, functionals * driven
-    value = weighed(inputs, at, output, first, 1, driven, ramps)
+    value = weighed(inputs, at, output, first, 1, driven)
     slope = curvature = jerk = vectors.splat(0.0)
     if not still:
-        slope = weighed(inputs, at, output, first + order, 1, driven, True)
-        curvature = weighed(inputs, at, output, first + 2 * order, 1, driven, True)
-        jerk = weighed(inputs, at, output, first + 3 * order, 1, driven, True)
+        slope = weighed(inputs, at, output, first + order, 1, driven)
+        curvature = weighed(inputs, at, output, first + 2 * order, 1, driven)
+        jerk = weighed(inputs, at, output, first + 3 * order, 1, driven)
         value += elapsed * (slope + 0.5 * elapsed * (curvature + elapsed * A_THIRD * jerk))
         slope += elapsed * (curvature + 0.5 * elapsed * jerk)
         curvature += elapsed * jerk

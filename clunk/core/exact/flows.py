@@ -67,12 +67,12 @@ class Flows(NamedTuple):
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up; the angles of x less the rolling, which stands apart
     modal: IntArray  # (K,)  whether the coordinates are modes
     span: FloatArray  # (K, SPANS)  [s]
-    propagator: FloatArray  # (K, SPANS, B, 3, 8)  over a span: each coordinate's SELF and CROSS share, and its DECAY
+    # over a span: each coordinate's SELF and CROSS share, and its DECAY; in the last row those of a generator of modes
+    propagator: FloatArray  # (K, SPANS + 1, B, 3, 8)
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
     watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> JERK to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     steady: IntArray  # (K,)  whether the functionals of the origin do not move under a constant torque
-    rolls: IntArray  # (K,)  whether the origin does, all the same
 
 
 class Chain(NamedTuple):
@@ -132,12 +132,11 @@ def build_flows(
         basis=np.zeros((*many, flows, size, size)),
         modal=np.zeros((*many, flows), np.int64),
         span=np.zeros((*many, flows, spans)),
-        propagator=np.empty((*many, flows, spans, blocks, 3, ROW)),  # the most: in larger pages, if any
+        propagator=np.empty((*many, flows, spans + 1, blocks, 3, ROW)),  # the most: in larger pages, if any
         generator=np.zeros((*many, flows, size, size)),
         watch=np.zeros((*many, flows, count, blocks, WATCHED)),
         series=np.zeros((*many, flows, count, size, LONG)),
         steady=np.zeros((*many, flows), np.int64),
-        rolls=np.zeros((*many, flows), np.int64),
     )
     arrays = rates, inputs, functionals, feedthrough
     for k, chain in enumerate(chains):
@@ -216,7 +215,6 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     tables.origin_output[:, 0] += feedthrough
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
     tables.steady[:] = ~_outputs(functionals[..., :unforced], back[..., scaled.drift], chain).any(axis=(-2, -1))
-    tables.rolls[:] = tables.steady * scaled.drift.any()
 
     modes = _modes(scaled)
     if modes is None:
@@ -490,10 +488,15 @@ def _propagate(generator: FloatArray, unseen: BoolArray, result: FloatArray) -> 
 
     generator : (D, C, C), of each pair a block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift
     unseen : (B, 2, 4), coordinates that no functional sees, and amplitudes need not bound
-    result : (D, SPANS, B, 3, 8)
+    result : (D, SPANS + 1, B, 3, 8)
     """
-    spans = result.shape[1]
-    one, other = _halves(np.arange(generator.shape[-1])).transpose(1, 0, 2)
+    size, spans = generator.shape[-1], result.shape[1] - 1
+    coordinates = _halves(np.arange(size))
+    result[:, -1] = 0.0
+    result[:, -1, :, SELF] = generator.diagonal(axis1=-2, axis2=-1).reshape(-1, size // ROW, ROW)
+    partners = coordinates[:, ::-1].reshape(-1, ROW)
+    result[:, -1, :, CROSS] = generator[:, np.arange(size).reshape(-1, ROW), partners]
+    one, other = coordinates.transpose(1, 0, 2)
     omega, sigma = generator[:, one, other], _halves(generator.diagonal(axis1=-2, axis2=-1))
     pairs = sigma, omega, omega != -generator[:, other, one]
     # one coordinate after the other, (…, D, SPANS), and each pass along memory
@@ -511,4 +514,5 @@ def _propagate(generator: FloatArray, unseen: BoolArray, result: FloatArray) -> 
         with np.errstate(invalid="ignore"):
             share = np.where(speed != 0.0, np.expm1(speed) / speed, 1.0)
         table[:, CROSS, 0] += np.where(drift, angle * share, 0.0)
-    result.reshape(-1, spans, table[..., 0, 0].size)[:] = table.reshape(-1, *rates.shape[-2:]).transpose(1, 2, 0)
+    of_spans = result.reshape(len(result), spans + 1, -1)[:, :-1]
+    of_spans[:] = table.reshape(-1, *rates.shape[-2:]).transpose(1, 2, 0)

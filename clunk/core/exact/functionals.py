@@ -68,12 +68,12 @@ def evaluate(space: Workspace, flow: int, f: int, bounded: bool) -> tuple[curves
 @inlined_part
 def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) -> curves.Origin:
     """`curves.origin` of the runs taken."""
-    output, ramps = space.flows.origin_output, space.system.ramps != 0
-    functionals, work, driven = output.shape[3], space.pool.work, inputs_of(space.system)
+    output, work, driven = space.flows.origin_output, space.pool.work, inputs_of(space.system)
+    functionals = output.shape[3]
     if space.mixed != 0:
         gathered = OfLanes(space.lane_output_origins)
-        return curves.origin(gathered, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
-    return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
+        return curves.origin(gathered, f, functionals, work, space.inputs_at, driven, still, elapsed)
+    return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, elapsed)
 
 
 @inlined_part

@@ -44,9 +44,9 @@ def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
 @inlined_part
 def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> None:
     work, away, size, states = space.pool.work, space.moved, size_of(space), space.flows.coordinates.shape[2]
-    inputs, driven, ramps = space.inputs_at, inputs_of(space.system), space.system.ramps != 0
+    inputs, driven = space.inputs_at, inputs_of(space.system)
     for k in range(states):
-        origin = weighed(work, inputs, origins, k, size, driven, ramps)
+        origin = weighed(work, inputs, origins, k, size, driven)
         vectors.store(away, k, vectors.load(work, k) - origin)
     for c in range(size):
         total = vectors.splat(0.0)
@@ -60,7 +60,7 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
 def to_states(space: Workspace, flow: int, mask: int) -> None:
     """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
     flows, size = space.flows, size_of(space)
-    still = is_still(space, flow) and flows.rolls[0, flow] == 0
+    still = is_still(space, flow) and space.system.drift.shape[1] == 0
     if space.mixed != 0:
         _to_states_of_lanes(space, flow, still)
     else:
@@ -86,14 +86,14 @@ def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> N
     """The states of the runs taken, into `space.moved`."""
     work, left, size, elapsed = space.pool.work, space.moved, size_of(space), field(space, rows.ELAPSED)
     inputs, driven, order = space.inputs_at, inputs_of(space.system), inputs_of(space.system) * size
-    ramps, half = space.system.ramps != 0, 0.5 * elapsed * elapsed
+    half = 0.5 * elapsed * elapsed
     sixth = half * elapsed * A_THIRD
     for n in range(space.flows.coordinates.shape[2]):
-        origin = weighed(work, inputs, origins, n, size, driven, ramps)
+        origin = weighed(work, inputs, origins, n, size, driven)
         if not still:
-            origin += weighed(work, inputs, origins, order + n, size, driven, True) * elapsed
-            origin += weighed(work, inputs, origins, 2 * order + n, size, driven, True) * half
-            origin += weighed(work, inputs, origins, 3 * order + n, size, driven, True) * sixth
+            origin += weighed(work, inputs, origins, order + n, size, driven) * elapsed
+            origin += weighed(work, inputs, origins, 2 * order + n, size, driven) * half
+            origin += weighed(work, inputs, origins, 3 * order + n, size, driven) * sixth
         away = vectors.splat(0.0)
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)
@@ -103,42 +103,32 @@ def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> N
 @inlined_part
 def move_by_spans(space: Workspace, flow: int, numbers: Vector) -> None:
     """Move each of the items taken by the span of the ladder with its number; a negative one counts as 0."""
-    size, propagator = size_of(space), space.flows.propagator
-    first = flow * propagator.shape[2]
-    vectors.store(space.notes, 0, numbers)
-    for lane in range(WIDTH):
-        space.offsets[lane] = (first + int(max(vectors.number(space.notes, lane), 0.0))) * 3 * size
-    if space.mixed != 0:
-        _add_drivelines(space, propagator[0].size)
-    for row in range(0, 3 * size, ROW):
-        vectors.gather(propagator, space.offsets, row, space.moved, row)
-    jump(space.moved, space.pool.work, size)
-
-
-@part
-def _add_drivelines(space: Workspace, each: int) -> None:
-    """Add to the offsets where the tables of a lane's driveline begin, each so long."""
-    vectors.stay_apart()
-    for lane in range(WIDTH):
-        space.offsets[lane] += space.drivelines[lane] * each
+    _gather_propagators(space, flow, numbers)
+    jump(space.moved, space.pool.work, size_of(space))
 
 
 @inlined_part
 def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
-    """Move each of the items taken by a part of the shortest span."""
-    modes = space.flows.modal[0, flow] != 0
-    if space.mixed != 0:
-        _move_by_parts_of_lanes(space, flow, modes, part)
+    """Move each of the items taken by a part of the shortest span; of modes, the amplitudes stay what they were."""
+    size, generator = size_of(space), space.flows.generator
+    if space.flows.modal[0, flow] != 0:
+        _gather_propagators(space, flow, vectors.splat(float(space.flows.span.shape[2])))
+        move(space.moved, part, space.pool.work, size)
     else:
-        move(space.flows.generator[0, flow], modes, part, space.pool.work, size_of(space), space.moved)
+        functionals.gather(space, generator, flow * size * size, size * size, space.lane_table)
+        move_together(space.lane_table, part, space.pool.work, size, space.moved)
 
 
-@part
-def _move_by_parts_of_lanes(space: Workspace, flow: int, modes: bool, part: Vector) -> None:
-    vectors.stay_apart()
-    count = space.flows.generator[0, 0].size
-    functionals.gather(space, space.flows.generator, flow * count, count, space.lane_table)
-    move(OfLanes(space.lane_table), modes, part, space.pool.work, size_of(space), space.moved)
+@inlined_part
+def _gather_propagators(space: Workspace, flow: int, numbers: Vector) -> None:
+    """Gather the rows of each lane's propagator with these numbers into `space.moved`."""
+    size, propagator = size_of(space), space.flows.propagator
+    vectors.store(space.notes, 0, numbers)
+    for lane in range(WIDTH):
+        first = (space.drivelines[lane] * propagator.shape[1] + flow) * propagator.shape[2]
+        space.offsets[lane] = (first + int(max(vectors.number(space.notes, lane), 0.0))) * 3 * size
+    for row in range(0, 3 * size, ROW):
+        vectors.gather(propagator, space.offsets, row, space.moved, row)
 
 
 @inlined_part
@@ -173,31 +163,46 @@ def measure(work: FloatArray, size: int) -> None:
 
 
 @inlined_part
-def move(generator: Table, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray) -> None:
-    """Move by a part of the shortest span, by the Taylor series of the exponential. `moved` is scratch, 2C rows."""
-    if modes:
-        for begin in range(0, size, ROW):
-            for p in range(begin, begin + BLOCK):
-                q = p + BLOCK
-                one, other = vectors.load(work, p), vectors.load(work, q)
-                same, cross = vectors.number(generator, p * size + p), vectors.number(generator, p * size + q)
-                crossed, same_too = vectors.number(generator, q * size + p), vectors.number(generator, q * size + q)
-                moved_one, partner = one, other
-                for k in range(TERMS - 1, 0, -1):
-                    share = part * (1.0 / k)
-                    change = fused(partner, cross, moved_one * same)
-                    partner = fused(share, fused(partner, same_too, moved_one * crossed), other)
-                    moved_one = fused(share, change, one)
-                vectors.store(work, p, moved_one)
-                vectors.store(work, q, partner)
-        return
+def move(rates: FloatArray, part: Vector, work: FloatArray, size: int) -> None:
+    """Move modes by a part of the shortest span, by the Taylor series of the exponential.
+
+    rates : (3C, WIDTH) float64
+        The last row of `propagator`, of each lane.
+    """
+    for begin in range(0, size, ROW):
+        for k in range(BLOCK):
+            p, q = begin + k, begin + k + BLOCK
+            one, other = vectors.load(work, p), vectors.load(work, q)
+            at_self, at_cross = 3 * begin + SELF * ROW + k, 3 * begin + CROSS * ROW + k
+            same, cross = vectors.load(rates, at_self), vectors.load(rates, at_cross)
+            same_too, crossed = vectors.load(rates, at_self + BLOCK), vectors.load(rates, at_cross + BLOCK)
+            moved, partner = one, other
+            for n in range(TERMS - 1, 0, -1):
+                share = part * (1.0 / n)
+                change = fused(partner, cross, moved * same)
+                partner = fused(share, fused(partner, same_too, moved * crossed), other)
+                moved = fused(share, change, one)
+            vectors.store(work, p, moved)
+            vectors.store(work, q, partner)
+
+
+@inlined_part
+def move_together(generator: FloatArray, part: Vector, work: FloatArray, size: int, moved: FloatArray) -> None:
+    """Move coordinates that are no modes by a part of the shortest span, and see their amplitudes.
+
+    generator : (C², WIDTH) float64
+        Of each lane.
+    moved : (2C or more, WIDTH) float64
+        Scratch.
+    """
     for r in range(size):
         vectors.store(moved, r, vectors.load(work, r))
-    for k in range(TERMS - 1, 0, -1):
+    for n in range(TERMS - 1, 0, -1):
         for r in range(size):
             total = vectors.splat(0.0)
             for c in range(size):
-                total = fused(vectors.load(work, c), vectors.number(generator, r * size + c), total)
-            vectors.store(moved, size + r, fused(part * (1.0 / k), total, vectors.load(moved, r)))
+                total = fused(vectors.load(work, c), vectors.load(generator, r * size + c), total)
+            vectors.store(moved, size + r, fused(part * (1.0 / n), total, vectors.load(moved, r)))
         for r in range(size):
             vectors.store(work, r, vectors.load(moved, size + r))
+    measure(work, size)

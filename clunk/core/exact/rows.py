@@ -13,18 +13,16 @@ TRY = 3  # s, the longest span that is proposed next
 _FIRST = 4
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
-PHASE_MAX, PHASE_MIN = 2, 3  # and in the phase
-_CHANGING = 4
-# And those that they do not change. A step reads 8 numbers at a time: with 32 in all it is 2 % quicker than with 40.
-MARGIN = 4
-HELD_FROM = 5  # s, from the phase's beginning until a contact has held for the sticking time
-SIDE = 6  # by which the guards' signs are those of the group's first regime: 1 or -1
-SCALE = 7  # of the guards' margins
-_OF_LASH = 8
+_CHANGING = 2
+# And those that they do not change. A step reads 8 numbers at a time: a driveline of four inertias has no more than 32.
+MARGIN = 2
+HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the sticking time
+SIDE = 4  # by which the guards' signs are those of the group's first regime: 1 or -1
+SCALE = 5  # of the guards' margins
+_OF_LASH = 6
 # Behind the last lash's: LIMIT, s, from the phase's beginning to the end of the run, or of the load's piece, see
 # `limit`; the SHIFT of each guard, see `shift`; the regime's inputs, when the phase or the load's piece began; and
-# whether the load, which may change at LIMIT, has not come to rest. Without ramps and kinks, a step does not read the
-# inputs behind the second, nor that.
+# whether the load, which may change at LIMIT, has not come to rest.
 
 # A search's numbers, those that change most often first.
 TIME_LEFT = 0  # s

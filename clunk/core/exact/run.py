@@ -79,16 +79,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
         set_number_of(space, slot, rows.WINDOW_MAX, lash, np.inf)
         set_number_of(space, slot, rows.WINDOW_MIN, lash, -np.inf)
     _set_rest(space, slot, start)
-    _begin_phase(space, slot)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
-
-
-@inlined_part
-def _begin_phase(space: Workspace, slot: int) -> None:
-    """Begin a run's phase, of whose acceleration nothing is known."""
-    for lash in range(lashes_of(space.system)):
-        set_number_of(space, slot, rows.PHASE_MAX, lash, -np.inf)
-        set_number_of(space, slot, rows.PHASE_MIN, lash, np.inf)
 
 
 @inlined_part
@@ -109,7 +100,6 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         regime = entry.regime
         if entry.written > row.count:
             _close_phase(space, slot)
-            _begin_phase(space, slot)
             _take_events(space, slot, row.count, entry.written)
     row.time, row.count, row.regime = time, entry.written, regime
     for k in range(x.size):
@@ -149,7 +139,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             if pool.length[queue] == 0:
                 break
         if queue < queues.search:
-            count, group = take(pool, queue, space.numbers, space.read), queue % space.system.leaders.size
+            count, group = take(pool, queue, space.numbers), queue % space.system.leaders.size
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
             if space.mixed != 0:
                 functionals.note_drivelines(space, flow, 1)
@@ -159,7 +149,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
                 short = space.flows.modal[0, flow] == 0
             take_step(space, group, short, count)
         else:
-            count = take(pool, queue, space.searches, space.searches.shape[1])
+            count = take(pool, queue, space.searches)
             flow, functional = divmod(queue - queues.search, space.flows.watch.shape[2])
             if space.mixed != 0:
                 functionals.note_drivelines(space, flow, space.searches_each)
@@ -251,17 +241,16 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
 
 @inlined_part
 def _close_phase(space: Workspace, slot: int) -> None:
-    """Write the extremes of the accelerations to the event that began a run's phase."""
+    """Write the extremes of the accelerations in the windows so far to the event that began a run's phase."""
     last = space.runs[slot].count - 1
     for lash in range(lashes_of(space.system)):
-        space.extremes[slot, last, lash, 0] = number_of(space, slot, rows.PHASE_MAX, lash)
-        space.extremes[slot, last, lash, 1] = number_of(space, slot, rows.PHASE_MIN, lash)
+        space.extremes[slot, last, lash, 0] = number_of(space, slot, rows.WINDOW_MAX, lash)
+        space.extremes[slot, last, lash, 1] = number_of(space, slot, rows.WINDOW_MIN, lash)
 
 
 @inlined_part
 def _forget_phase(space: Workspace, slot: int) -> None:
     """Forget the extremes of a phase that lasted no time."""
-    _begin_phase(space, slot)
     for lash in range(lashes_of(space.system)):
         play = space.plays[slot, lash]
         set_number_of(space, slot, rows.WINDOW_MAX, lash, play.window_max)
@@ -293,7 +282,6 @@ def _switch(space: Workspace, slot: int) -> None:
         row.stages += 1
     else:
         _close_phase(space, slot)
-        _begin_phase(space, slot)
     _take_events(space, slot, row.count, entry.written)
     _enter(space, slot, time, x, entry)
 

@@ -21,7 +21,6 @@ from clunk.core.exact.workspace import (
     set_field,
     set_number_of,
     shortest_span,
-    size_of,
 )
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
@@ -58,7 +57,7 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
     top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), curve.value <= until
     known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS), until > -np.inf)
 
-    h, k, near = _longest_empty(known, shortest, space.flows.propagator.shape[2], modal)
+    h, k, near = _longest_empty(known, shortest, space.flows.span.shape[2], modal)
     near &= present & ~done
     if near != 0:
         functionals.expand(space, flow, f, sign, shift, origin)
@@ -73,7 +72,6 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
             moving.move_by_spans(space, flow, k)
         else:
             moving.move_by_parts(space, flow, zero + 1.0)
-            moving.measure(space.pool.work, size_of(space))
         if not still:
             bent = 0.5 * h * (origin.curvature + h * curves.A_THIRD * origin.jerk)
             set_field(space, rows.AT, origin.value + h * (origin.slope + bent))
@@ -196,10 +194,6 @@ def conclude(space: Workspace, queue: int, count: int, done: int) -> None:
         if search < lashes:
             set_number_of(space, slot, rows.WINDOW_MAX, search, top)
             set_number_of(space, slot, rows.WINDOW_MIN, search, bottom)
-            largest = max(number_of(space, slot, rows.PHASE_MAX, search), top)
-            smallest = min(number_of(space, slot, rows.PHASE_MIN, search), bottom)
-            set_number_of(space, slot, rows.PHASE_MAX, search, largest)
-            set_number_of(space, slot, rows.PHASE_MIN, search, smallest)
         else:
             deep = search == space.searches_each - 1
             guard = run.guard if deep else search - lashes

@@ -34,7 +34,6 @@ from clunk.core.exact.workspace import (
     set_field,
     set_field_of,
     shortest_span,
-    size_of,
     system_of,
 )
 from clunk.core.jit import inlined_part
@@ -67,7 +66,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     system, flows, pool = space.system, space.flows, space.pool
     regime = system.leaders[group]
     flow = system.regimes[regime].flow
-    size, zero, present = size_of(space), vectors.splat(0.0), (1 << count) - 1
+    zero, present = vectors.splat(0.0), (1 << count) - 1
     shortest, elapsed = shortest_span(space, flow), field(space, rows.ELAPSED)
     time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
@@ -97,9 +96,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     # All lanes are moved, also those that will not be put back. Until `put_back` the work space is at the step's end,
     # and `space.numbers` at its beginning, where the searches of this step begin.
     if short:
-        moving.move_by_parts(space, flow, part)
-        if flows.modal[0, flow] == 0:
-            moving.measure(pool.work, size)  # of modes, the amplitudes of before will do for so short a time
+        moving.move_by_parts(space, flow, part)  # of modes, the amplitudes of before will do for so short a time
     else:
         moving.move_by_spans(space, flow, k)
     elapsed += h
@@ -224,11 +221,9 @@ def _acceleration(space: Workspace, flow: int, lash: int) -> tuple[curves.Curve,
 
 @inlined_part
 def _widen(space: Workspace, lash: int, seen: Vector) -> None:
-    """Take a value of a lash's acceleration into the extremes of its window and of the phase."""
+    """Take a value of a lash's acceleration into the extremes of its window."""
     set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(field_of(space, rows.WINDOW_MAX, lash), seen))
     set_field_of(space, rows.WINDOW_MIN, lash, vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), seen))
-    set_field_of(space, rows.PHASE_MAX, lash, vectors.larger(field_of(space, rows.PHASE_MAX, lash), seen))
-    set_field_of(space, rows.PHASE_MIN, lash, vectors.smaller(field_of(space, rows.PHASE_MIN, lash), seen))
 
 
 @inlined_part
@@ -282,7 +277,7 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
         The lanes where not even the shortest span will probably pass.
     """
     guards, count = space.guards, space.system.regimes[regime].guards
-    shortest, spans = shortest_span(space, space.system.regimes[regime].flow), space.flows.propagator.shape[2]
+    shortest, spans = shortest_span(space, space.system.regimes[regime].flow), space.flows.span.shape[2]
     h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most, spans)
     passes = int(k >= 0.0)
     for n in range(count):

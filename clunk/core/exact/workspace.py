@@ -16,10 +16,9 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.references import put, reference_at, words_of
+from clunk.core.references import reference_at, rows_of
 from clunk.core.regimes import Each, System, lashes_of
 from clunk.core.runs import Log
-from clunk.core.tables import INPUTS, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -90,7 +89,6 @@ class Workspace(NamedTuple):
     behind: int  # where the numbers that `rows` names begin in a row
     inputs_at: int  # and where the inputs do
     kink_at: int  # and whether the load has not come to rest
-    read: int  # numbers of a run that a step reads
     runs: npt.NDArray[np.void]  # (S + 1,) RUN
     plays: npt.NDArray[np.void]  # (S + 1, L) PLAY
     fastest: FloatArray  # (S, L)  rad/s, of the touches of each lash so far
@@ -123,7 +121,7 @@ class Workspace(NamedTuple):
 
 
 def make_workspace(
-    system: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int
+    system: System, each: Each, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int
 ) -> Workspace:
     """Room for `slots` runs of so many events and states at them, none of which has begun.
 
@@ -131,6 +129,8 @@ def make_workspace(
     ----------
     system : System
         Of the first driveline.
+    each : Each
+        What differs in the others; to outlive the workspace.
     flows : Flows
         Of all drivelines, with an axis in front.
     loads : (loads, P, PIECE) float64
@@ -147,10 +147,9 @@ def make_workspace(
     inputs_at = behind + rows.shift(most, lashes)
     kink_at = inputs_at + driven
     of_a_run, searches = kink_at + 1, lashes + most + 1
-    read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 or driven > INPUTS else inputs_at + TORQUE_RATE)
     return Workspace(
         system=system,
-        systems=np.empty((drivelines, words_of(system)), np.int64),
+        systems=rows_of(system, each),
         flows=flows,
         mixed=int(mixed),
         pool=make_pool(over + 2, 2 * slots, of_a_run),  # two guards of a functional may be searched at a time
@@ -161,7 +160,6 @@ def make_workspace(
         behind=behind,
         inputs_at=inputs_at,
         kink_at=kink_at,
-        read=read,
         runs=np.zeros(slots + 1, RUN),
         plays=np.zeros((slots + 1, lashes), PLAY),
         fastest=np.zeros((slots, lashes)),
@@ -185,7 +183,7 @@ def make_workspace(
         lane_watch=aligned(flows.watch[0, 0].size * mixed, WIDTH),
         lane_output_origins=aligned(flows.origin_output[0, 0].size * mixed, WIDTH),
         lane_state_origins=aligned(flows.origin[0, 0].size * mixed, WIDTH),
-        lane_table=aligned(size * max(size, LONG) * mixed, WIDTH),
+        lane_table=aligned(size * max(size, LONG), WIDTH),
         held=np.zeros((lashes, 2)),
         alone=np.zeros((2, TERMS)),
         ladder=np.zeros((TERMS, TERMS)),
@@ -195,13 +193,6 @@ def make_workspace(
 def waiting_queues(system: System, flows: Flows) -> int:
     """The number of queues in which runs and searches wait: three for each group, one for each functional of a flow."""
     return int(3 * system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2])
-
-
-@part
-def put_systems(space: Workspace, each: Each) -> None:
-    """Keep the system of each driveline, whose arrays `each` are to outlive the workspace."""
-    for k in range(space.systems.shape[0]):
-        put(space.system, each, k, space.systems)
 
 
 @inlined_part

@@ -69,13 +69,11 @@ def push_all(pool: Pool, queue: int, mask: int) -> None:
 
 
 @part
-def take(pool: Pool, queue: int, array: FloatArray, read: int) -> int:
+def take(pool: Pool, queue: int, array: FloatArray) -> int:
     """Take as many items from a queue as there are lanes, or as wait, the last ones first; return how many.
 
     array : (items + 1, numbers) float64
-        Whose rows are gathered; the last one is scratch for unused lanes.
-    read : int
-        The first of a row's numbers, so many, are gathered.
+        Whose rows are gathered, numbers being a multiple of ROW; the last one is scratch for unused lanes.
     """
     count, length, unused = min(pool.length[queue], WIDTH), array.shape[1], array.shape[0] - 1
     first = pool.length[queue] - count
@@ -83,7 +81,7 @@ def take(pool: Pool, queue: int, array: FloatArray, read: int) -> int:
     for k in range(WIDTH):
         item = pool.waiting[queue, first + k] if k < count else unused
         pool.places[k], pool.items[k] = item * length, item
-    for row in range(0, read, ROW):
+    for row in range(0, length, ROW):
         vectors.gather(array, pool.places, row, pool.work, row)
     return int(count)
 
