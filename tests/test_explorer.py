@@ -26,10 +26,8 @@ from clunk import ClunkError, load_study, simulate, sweep, tolerance_map
 from clunk.analysis.boundaries import with_boundaries
 from clunk.cli import cli
 from clunk.explorer.controls import adjustable, slider_range
-from clunk.explorer.mapfigure import MapFigure
-from clunk.explorer.message import Message
+from clunk.explorer.figures import MapFigure, Message, thinned
 from clunk.explorer.newest import Newest
-from clunk.explorer.runfigures import thinned
 from clunk.explorer.server import explore
 from clunk.explorer.subject import Subject, of_one_cell
 from clunk.explorer.workbench import Workbench

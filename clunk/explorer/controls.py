@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from bokeh.models import Column, Div, NumericInput, Row, Select, Slider
 
-from clunk.explorer.mapfigure import title_of
+from clunk.explorer.figures import title_of
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.designs import is_unused
 from clunk.study.keys import Key

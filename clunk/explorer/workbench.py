@@ -25,10 +25,8 @@ from bokeh.events import (
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Model, Pane, Select, UIElement
 
 from clunk.explorer.controls import Controls
-from clunk.explorer.mapfigure import RUN_COLOURS, Cell, MapFigure
-from clunk.explorer.message import Changes, Message
+from clunk.explorer.figures import RUN_COLOURS, Cell, Changes, MapFigure, Message, RunFigures, Shown
 from clunk.explorer.newest import Newest, Request
-from clunk.explorer.runfigures import RunFigures, Shown
 from clunk.explorer.subject import Subject
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text

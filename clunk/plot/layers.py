@@ -215,8 +215,12 @@ class Layers:
     @property
     def region_colours(self) -> Floats:
         """(nx, ny, 3) colour of each cell's region, 0 to 255."""
+        return self.colours_of(self.codes)
+
+    def colours_of(self, regions: Codes) -> Floats:
+        """(…, 3) colours of regions (…), 0 to 255."""
         table = np.array([list(bytes.fromhex(each[1:])) for each in (*self.colours, FAILED_FILL)], np.float64)
-        return np.asarray(table[self.codes])
+        return np.asarray(table[regions])
 
     @property
     def failed(self) -> Bools:

@@ -1,0 +1,439 @@
+"""Figures of the page, drawn with Bokeh: the map with marks of the cells that runs are shown of, and these runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+import numpy as np
+from bokeh.events import Reset
+from bokeh.models import (
+    BoxAnnotation,
+    ColorBar,
+    ColumnDataSource,
+    CustomJS,
+    DataRange1d,
+    Div,
+    LinearColorMapper,
+    Model,
+    Range1d,
+    Span,
+)
+from bokeh.plotting import figure
+from matplotlib.colors import to_hex
+
+from clunk.plot.histories import flank_names, measured_impacts, outcome
+from clunk.plot.labelling import roomiest
+from clunk.plot.layers import Layers
+from clunk.plot.maps import cell_colours, shades_of
+from clunk.plot.plane import Codes, cells_of, ruler, value_text
+from clunk.plot.style import FAILED_FILL, FAINT_INK, INK, LINE_COLOURS, bare, capital
+from clunk.results.maps import AnyMap
+from clunk.results.quantities import YES_NO
+from clunk.simulation.history import History
+from clunk.study.arrays import Floats
+from clunk.study.axes import ResultAxis
+from clunk.study.records import html_table
+
+RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the run that is shown, and of those that are pinned
+_PIXELS = 640  # of an image, across and upward
+_SKIP = 4  # of the image, between the pixels among which names are placed
+_WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a name takes
+_SHADES = 256
+_LISTED = 16  # edges of a strip's bands
+_COLUMNS = 800  # spans of time that a screen tells apart
+_BESIDE = 72, 32  # pixels left and right of all panels, so that their time axes lie under each other
+_WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
+_TEXT = {"text_font_size": "11px"}
+
+Cell = tuple[float, ...]  # values of the map's axes
+Changes = dict[str, Mapping[str, Any]]  # name of a model -> property -> value
+
+# The server, which asks for it, need not hear of the changes again.
+_CHANGE = "for (const [name, [values]] of Object.entries(cb_obj.data)) models[name].setv(values, {sync: false});"
+
+
+class Message:
+    """Changes of several models that reach the browser in one message: it draws once, not once for each.
+
+    The server's own copies of the models do not have these changes.
+
+    models : by the names that changes have
+    source : what carries them; it has to be in the document
+    """
+
+    def __init__(self, models: Mapping[str, Model]) -> None:
+        self.source = ColumnDataSource(data={})
+        self.source.js_on_change("data", CustomJS(args={"models": dict(models)}, code=_CHANGE))
+
+    def send(self, changes: Changes) -> None:
+        """Change the models in the browser."""
+        self.source.data = {name: [properties] for name, properties in changes.items()}
+
+
+def _columns(names: str, rows: Sequence[tuple[Any, ...]]) -> Mapping[str, Any]:
+    """The data of a source with columns of these names, separated by blanks."""
+    return {"data": {name: [row[k] for row in rows] for k, name in enumerate(names.split())}}
+
+
+def _source(names: str) -> ColumnDataSource:
+    return ColumnDataSource(**_columns(names, []))
+
+
+class MapFigure:
+    """A map over two axes, or a curve over one on bands of the labels' colours; one picture takes another's place.
+
+    models : what a picture changes, by name
+    """
+
+    def __init__(self, axes: Sequence[ResultAxis]) -> None:
+        self._axes = axes
+        look: dict[str, Any] = {}
+        for which, axis in zip("xy", axes, strict=False):
+            look[f"{which}_axis_label"] = title_of(capital(axis.name or axis.parameter), axis.symbol, axis.unit)
+            look[f"{which}_axis_type"] = "log" if axis.is_geometric else "linear"
+            low, high = float(axis.values.min()), float(axis.values.max())
+            look[f"{which}_range"] = Range1d(low, high, bounds=(low, high))
+        look |= {"tools": "pan,wheel_zoom,box_zoom,reset,save", "min_height": 240, "margin": 0}
+        self.figure = plot = figure(name="map", sizing_mode="stretch_both", **look)
+        plot.toolbar.logo = None
+        plot.grid.visible = False
+        # of one height, or the map would be drawn anew with every text
+        styles = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
+        self.legend = Div(name="legend", height=62, styles=styles, **_WIDE)
+        columns = {"image": "image x y dw dh", "bands": "x0 x1 colour", "lines": "x y", "points": "x y"}
+        sources = {name: _source(names) for name, names in (columns | {"names": "text x y"}).items()}
+        self._marks, self._pointed = _source("x y colour"), _source("x y text align offset")
+        shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
+        bar = ColorBar(color_mapper=shades, width=10, visible=False)
+        plot.add_layout(bar, "right")
+        self.models: dict[str, Model] = {**sources, "shades": shades, "bar": bar, "y axis": plot.yaxis[0]}
+        self.models["legend"] = self.legend
+        ring: dict[str, Any] = {"source": self._marks, "level": "overlay", "line_color": "colour", "line_width": 2.5}
+        text = {"text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
+        if len(axes) > 1:
+            plot.image_rgba("image", "x", "y", "dw", "dh", source=sources["image"])
+            self.models["boundaries"] = plot.line("x", "y", source=sources["lines"], color=INK, line_width=0.9).glyph
+            plot.scatter("x", "y", source=sources["points"], size=2.5, color=INK)
+            plot.text("x", "y", "text", source=sources["names"], text_align="center", **text)
+            for border in ({"line_width": 6.0, "line_color": "white"}, {}):
+                plot.scatter("x", "y", size=13, fill_alpha=0.0, **ring | border)
+        else:
+            band = {"fill_color": "colour", "line_color": INK, "line_width": 0.9, "level": "underlay"}
+            plot.vstrip("x0", "x1", source=sources["bands"], **band)
+            plot.line("x", "y", source=sources["points"], color=INK, line_width=1.5)
+            plot.vspan("x", **ring)
+        beside: dict[str, Any] = {"text_align": "align", "x_offset": "offset", "background_fill_color": "white"}
+        beside |= {"background_fill_alpha": 0.85, "padding": 3, "level": "overlay", "name": "pointed"}
+        plot.text("x", "y", "text", source=self._pointed, **beside, **text)
+
+    def changes(self, part: AnyMap, quantity: str) -> Changes:
+        """Changes of the models to a picture of a quantity of one lash's map.
+
+        Raises PlotError where the quantity has no value at all.
+        """
+        layers = Layers.of(part, len(self._axes), quantity)
+        if len(self._axes) > 1:
+            return self._map_changes(layers)
+        edges, codes = layers.bands
+        inner = [f"{edge:.4g}" for edge in edges[1:-1].tolist()]
+        notes = [f"label changes: {', '.join(inner)}"] if 0 < len(inner) <= _LISTED else []
+        colours = [(*layers.colours, FAILED_FILL)[code] for code in codes]
+        return {
+            "bands": {"data": {"x0": edges[:-1], "x1": edges[1:], "colour": colours}},
+            "points": {"data": {"x": layers.view.x.values, "y": layers.values}},
+            "y axis": {"axis_label": layers.value_label},
+            "legend": {"text": _legend(layers, notes)},
+        }
+
+    def _map_changes(self, layers: Layers) -> Changes:
+        x, y = (_pixel_centres(axis) for axis in layers.view.axes)
+        regions = layers.codes_at(x, y)
+        shades = shades_of([layers]) if layers.shaded else None
+        pixels = np.full((*regions.shape, 4), 255, np.uint8)
+        if shades is None and layers.paint is None:
+            pixels[..., :3] = layers.colours_of(regions)
+        else:
+            cells = np.ix_(*(cells_of(axis, at) for axis, at in zip(layers.view.axes, (x, y), strict=True)))
+            pixels[..., :3] = np.rint(cell_colours(layers, shades)[cells].swapaxes(0, 1))
+        (left, width), (low, height) = ((axis.values[0], np.ptp(axis.values)) for axis in layers.view.axes)
+        # one line with gaps: each of a hundred lines would be two buffers of the message
+        gap = np.full((1, 2), np.nan)
+        line = np.concatenate([part for each in layers.lines for part in (each, gap)] or [gap])
+        names = [] if layers.shaded else _names(regions, layers, x, y)
+        changes: Changes = {
+            "image": _columns("image x y dw dh", [(pixels.view(np.uint32)[..., 0], left, low, width, height)]),
+            "lines": {"data": {"x": line[:, 0], "y": line[:, 1]}},
+            "points": {"data": {"x": layers.doubts[:, 0], "y": layers.doubts[:, 1]}},
+            "names": _columns("text x y", names),
+            "boundaries": {"line_color": "white" if layers.shaded and layers.has_light_lines else INK},
+            "bar": {"visible": layers.shaded, "title": layers.value_label},
+            "legend": {"text": _legend(layers, [])},
+        }
+        if shades is not None:
+            (bottom, top), colours = shades.get_clim(), shades.get_cmap()(np.linspace(0.0, 1.0, _SHADES))
+            changes["shades"] = {"palette": [to_hex(each) for each in colours], "low": bottom, "high": top}
+        return changes
+
+    def mark(self, marks: Sequence[tuple[Cell, str]]) -> None:
+        """Mark cells with colours, the last on top."""
+        self._marks.update(**_columns("x y colour", [(cell[0], cell[-1], colour) for cell, colour in marks]))
+
+    def label(self, text: str, x: float, y: float) -> None:
+        """Write a text beside the pointer, on the side that has more room; an empty one takes it away."""
+        to, _ = ruler(self._axes[0])
+        is_right = to(x) > np.mean(to(self._axes[0].values)) if text else False
+        shown = (x, y, text, "right", -14) if is_right else (x, y, text, "left", 14)
+        self._pointed.update(**_columns("x y text align offset", [shown] if text else []))
+
+    def nearest(self, x: float, y: float = 0.0) -> Cell | None:
+        """Values of the axes in the cell at a point; None beyond the map."""
+        cell = []
+        for axis, value in zip(self._axes, (x, y), strict=False):
+            if not axis.values.min() <= value <= axis.values.max():
+                return None
+            to, _ = ruler(axis)
+            cell.append(float(axis.values[np.argmin(np.abs(to(axis.values) - to(value)))]))
+        return tuple(cell)
+
+
+def title_of(name: str, symbol: str, unit: str) -> str:
+    """A quantity with its short symbol and its unit."""
+    return " ".join(part for part in (name, bare(symbol), f"[{unit}]" if unit not in ("", "1") else "") if part)
+
+
+def _legend(layers: Layers, notes: Iterable[str]) -> str:
+    """Regions that are large enough to be seen, with their colours and shares of the map, notes, and the largest value.
+
+    That of a quantity comes with its cell.
+    """
+    square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>&nbsp;'
+    entries = []
+    for note in layers.legend(layers.seen):
+        colour = square.format(note.colour) if note.colour else ""
+        entries.append(f'<span style="white-space: nowrap">{colour}{escape(note.text)}</span>')
+    if layers.values is not None and (layers.quantity.type != YES_NO or layers.shaded):
+        at = np.unravel_index(int(np.nanargmax(layers.values)), layers.values.shape)
+        place = (value_text(axis, axis.values[k], symbol=True) for axis, k in zip(layers.view.axes, at, strict=True))
+        notes = [*notes, f"largest: {layers.values[at]:.6g} at {', '.join(place)}"]
+    return " &nbsp; ".join([*entries, *map(escape, notes)])
+
+
+def _names(regions: Codes, layers: Layers, x: Floats, y: Floats) -> list[tuple[str, float, float]]:
+    """Names in the roomiest part of their largest region, where they have room, and where that is."""
+    regions, x, y = regions[::_SKIP, ::_SKIP], x[::_SKIP], y[::_SKIP]
+    names = []
+    for name in layers.seen:
+        centre = roomiest(regions == layers.names.index(name), _WIDTH * (len(name) + 1), _HEIGHT)
+        if centre is not None:
+            names.append((name, float(x[int(centre[0])]), float(y[int(centre[1])])))
+    return names
+
+
+def _pixel_centres(axis: ResultAxis) -> Floats:
+    """Centres of an image's pixels along an ascending axis, in its unit."""
+    to, back = ruler(axis)
+    edges = np.linspace(to(axis.values[0]), to(axis.values[-1]), _PIXELS + 1)
+    return np.asarray(back(0.5 * (edges[1:] + edges[:-1])), np.float64)
+
+
+class Shown(NamedTuple):
+    """A run on the page, with what it takes to make it again."""
+
+    cell: Cell
+    values: dict[str, float]  # of all axes
+    numbers: dict[str, float]
+    history: History
+    place: str  # values and numbers in words
+
+
+class _Panel(NamedTuple):
+    name: str
+    label: str
+    values: Callable[[History], Floats]
+    share: float  # of the height
+    padding: float = 0.25  # of the height of the curves, above and below them together
+
+
+_PANELS = (
+    _Panel("torque", "load [N m]", lambda run: run.torque, 0.9),
+    _Panel("lash", "lash x_b [mm]", lambda run: 1e3 * run.backlash_coordinate, 1.4),
+    _Panel("acceleration", "θ'' [rad/s²]", lambda run: run.acceleration[:, run.watched - 1], 1.4, 0.6),
+    _Panel("contact", "contact [N m]", lambda run: run.contact_torque, 1.6),
+)
+
+
+class RunFigures:
+    """Panels, header and event table of one run and of those that are pinned beside it.
+
+    Curves are thinned anew for what the time axis shows.
+
+    load_step : its time  [s]
+    header, compared, events : texts above and below the figures
+    message : carries what changes
+    """
+
+    def __init__(self, load_step: float) -> None:
+        self._load_step = load_step
+        self.header = Div(name="header", height=62, styles={"overflow": "hidden", "flex": "none"}, **_WIDE)
+        self.compared = Div(name="compared", styles={"flex": "none"}, **_WIDE)
+        self.events = Div(name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **_WIDE)
+        self.events.update(sizing_mode="stretch_both", min_height=80, max_height=170)
+        self._runs: Sequence[History] = []
+        self._time = Range1d(0.0, 1.0)
+        self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
+        # all curves of all panels in one source
+        self._curves = _source(" ".join(["colour", *(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy")]))
+        unit = [[0.0, 1.0]]  # a line to begin with: without any, ranges are complained of in the browser's console
+        self._curves.data = dict.fromkeys(self._curves.data, unit) | {"colour": ["white"]}
+        self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
+        lash, acceleration = self.figures["lash"], self.figures["acceleration"]
+        gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
+        lash.add_layout(gap)
+        flanks, touches, arrows = map(_source, (_FLANKS, _TOUCHES, _ARROWS))
+        lash.text("x", "y", "text", source=flanks, text_baseline="baseline", text_color=FAINT_INK, x_offset=4, **_TEXT)
+        look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
+        lash.scatter("x", "y", source=touches, marker="triangle", **look)
+        acceleration.segment("x", "low", "x", "high", source=arrows, color=INK, line_width=1.0)
+        for end, angle in (("low", np.pi), ("high", 0.0)):
+            acceleration.scatter("x", end, source=arrows, marker="triangle", size=5, color=INK, angle=angle)
+        above: dict[str, Any] = {"text_align": "center", "text_baseline": "bottom", "y_offset": -2}
+        acceleration.text("x", "high", "text", source=arrows, **above, **_TEXT)
+        for name in ("start", "end"):
+            self._time.on_change(name, self._on_zoom)
+        models = {"time": self._time, "gap": gap, "curves": self._curves, "flanks": flanks, "touches": touches}
+        models |= {"arrows": arrows, "header": self.header, "compared": self.compared, "events": self.events}
+        self.message = Message(models)
+        lash.tags = [self.message.source]  # a part of the page that is not drawn
+
+    def _figure(self, panel: _Panel) -> Any:
+        around: dict[str, Any] = dict(zip(("min_border_left", "min_border_right"), _BESIDE, strict=True))
+        plot = figure(
+            name=panel.name,
+            x_range=self._time,
+            y_range=DataRange1d(range_padding=panel.padding),
+            y_axis_label=panel.label,
+            lod_threshold=None,
+            tools="xpan,xwheel_zoom,xbox_zoom,reset",
+            active_drag="xbox_zoom",
+            toolbar_location="right" if panel.name == "lash" else None,
+            sizing_mode="stretch_both",
+            min_height=int(64 * panel.share),
+            styles={"flex": f"{panel.share} 1 0"},
+            margin=0,
+            **around,
+        )
+        plot.update(min_border_bottom=2, min_border_top=2, outline_line_color=None)
+        plot.toolbar.logo = None
+        plot.yaxis.axis_label_text_font_size = "11px"
+        plot.yaxis.ticker.desired_num_ticks = 3 if panel.share < 1.0 else 5
+        plot.axis.minor_tick_line_color = None
+        plot.xgrid.visible = False
+        plot.ygrid.grid_line_color = "#e6e6e6"
+        plot.xaxis.visible = panel is _PANELS[-1]
+        plot.xaxis.axis_label = "time [s]"
+        look: dict[str, Any] = {"line_color": FAINT_INK, "line_dash": "dotted", "line_width": 1.0}
+        plot.add_layout(Span(location=self._load_step, dimension="height", **look))
+        plot.multi_line(f"{panel.name}_x", f"{panel.name}_y", source=self._curves, color="colour", line_width=1.4)
+        plot.on_event(Reset, lambda _: self.message.send({**self._see(self._whole), **self._drawn()}))
+        return plot
+
+    def show(self, run: Shown, pins: Sequence[Shown], lash: int, note: str) -> None:
+        """Show the motion of one lash in a run, with a note, and in those that are pinned.
+
+        The time axis stays as the user has zoomed it.
+        """
+        self._runs = [each.history.lashes[lash] for each in (run, *pins)]
+        whole = float(min(each.time[0] for each in self._runs)), float(max(each.time[-1] for each in self._runs))
+        changes: Changes = self._see(whole) if self._span == self._whole else {}
+        self._whole = whole
+        half, trajectory = 1e3 * self._runs[0].half_gap, self._runs[0].trajectory
+        facts = [*filter(None, [note]), *(f"{name} {text}" for name, text in trajectory.outcome() if name != "label")]
+        label = f'<span style="font-size: 20px; font-weight: bold">{escape(trajectory.label)}</span>'
+        headings, *events = trajectory.event_table()
+        ending = (f"{trajectory.end:.7f}", f"end: {trajectory.ending}", *[""] * (len(headings) - 2))
+        pinned = zip(pins, self._runs[1:], RUN_COLOURS[1:], strict=False)
+        lines = [
+            f'<span style="color: {colour}">■</span> {escape(f"{pin.place}: {outcome(history)}")}'
+            for pin, history, colour in pinned
+        ]
+        changes |= {
+            "gap": {"bottom": -half, "top": half},
+            "header": {"text": f"{label} &nbsp; {escape(run.place)}<br>{escape(' · '.join(facts))}"},
+            "compared": {"text": "<br>".join(lines)},
+            "events": {"text": html_table([*events, ending], headings)},
+        }
+        self.message.send({**changes, **self._marks(), **self._drawn()})
+
+    def refuse(self, text: str) -> None:
+        """Show no run, and why."""
+        self._runs = []
+        texts: Changes = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
+        empty = {"flanks": _columns(_FLANKS, []), "touches": _columns(_TOUCHES, [])}
+        self.message.send({**texts, **empty, **self._drawn()})
+
+    def _see(self, span: tuple[float, float]) -> Changes:
+        """Let the time axis begin and end at these times."""
+        self._span = span
+        return {"time": {"start": span[0], "end": span[1]}}
+
+    def _on_zoom(self, _attribute: str, _old: float, _new: float) -> None:
+        self._span = float(self._time.start), float(self._time.end)
+        self.message.send(self._drawn())
+
+    def _drawn(self) -> Changes:
+        """The curves of all runs, and an arrow for each Q_i of the one that is shown, within what is seen."""
+        begin, end = self._span
+        shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
+        data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
+        for panel in _PANELS:
+            curves = [thinned(run.time, panel.values(run), begin, end, _COLUMNS) for run, _ in shown]
+            data[f"{panel.name}_x"], data[f"{panel.name}_y"] = [x for x, _ in curves], [y for _, y in curves]
+        arrows = [
+            (each.begin + 0.012 * (end - begin), each.smallest, each.largest, f"Q{each.number}")
+            for run in self._runs[:1]
+            for each in measured_impacts(run)
+        ]
+        return {"curves": {"data": data}, "arrows": _columns(_ARROWS, arrows)}
+
+    def _marks(self) -> Changes:
+        """Flanks and touches of the run that is shown."""
+        run, begin = self._runs[0], self._whole[0]
+        flanks = [(begin, y, name, "top" if y > 0.0 else "bottom") for y, name in flank_names([run]).items()]
+        touches = []
+        for row, side, primary in zip(*run.touches[:3], strict=True):
+            place = run.time[row], 1e3 * run.backlash_coordinate[row]
+            look = (RUN_COLOURS[0], 10) if primary else ("white", 6)
+            touches.append((*place, 0.0 if side > 0 else np.pi, RUN_COLOURS[0], *look))
+        touches.sort(key=lambda touch: touch[-1])  # primary ones on top
+        return {"flanks": _columns(_FLANKS, flanks), "touches": _columns(_TOUCHES, touches)}
+
+
+# Columns of sources.
+_FLANKS, _TOUCHES, _ARROWS = "x y text baseline", "x y angle colour fill size", "x low high text"
+
+
+def thinned(time: Floats, values: Floats, begin: float, end: float, spans: int) -> tuple[Floats, Floats]:
+    """The part of a curve between two times, with no more points than a screen tells apart.
+
+    Each of about as many spans of samples is drawn as its least and its greatest value, so that no peak is lost and
+    nothing moves by more than a span.
+
+    Parameters
+    ----------
+    time, values : (M,) float64
+        Time does not decrease.
+    begin, end : float
+        One point beyond each is kept, so that the line leaves the picture as it should.
+    spans : int
+
+    Returns
+    -------
+    time, values : (m,) float64, m at most 4 spans + 3
+    """
+    first = max(0, int(np.searchsorted(time, begin)) - 1)
+    last = min(time.size, int(np.searchsorted(time, end, side="right")) + 1)
+    starts = np.arange(first, last, max(1, (last - first) // spans))
+    extremes = [reduce.reduceat(values[:last], starts) for reduce in (np.minimum, np.maximum)]
+    return np.append(np.repeat(time[starts], 2), time[last - 1]), np.append(np.ravel(extremes, "F"), values[last - 1])
