@@ -423,7 +423,7 @@ def coloured(figure: Any, results: Results) -> list[tuple[float, ...]]:
 def drawn(figure: Any, gid: str) -> list[tuple[float, float]]:
     ax = figure.axes[0]
     scattered = [tuple(xy) for each in ax.collections if each.get_gid() == gid for xy in each.get_offsets().tolist()]
-    plotted = [(float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in ax.lines if line.get_gid() == gid]
+    plotted = [tuple(xy) for line in ax.lines if line.get_gid() == gid for xy in line.get_xydata().tolist()]
     return scattered + plotted
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import ndimage
 
-from clunk.plot.layers import Layers
+from clunk.plot.layers import Layers, Measured
 from clunk.plot.plane import Codes
 from clunk.plot.style import CENTRED
 from clunk.study.arrays import Bools, Floats
@@ -19,7 +19,6 @@ from clunk.study.arrays import Bools, Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIZES, SMALL_SIZES = (10.5, 9.5, 8.5, 8.0), (8.5, 7.5, 6.5)  # points, tried in turn: of a map, of a panel of several
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
 _NOWHERE = -2  # no region, so that no name is written there
 _ROOM = 0.22  # of a text's size, around it
@@ -71,37 +70,37 @@ class Raster:
         self.ax.text(across, upward, text, fontsize=size, **CENTRED | {"zorder": 5, "parse_math": False} | look)
 
 
-def write_beside(raster: Raster, points: Floats, texts: Sequence[str], size: float, radius: float) -> list[int]:
-    """Write texts beside their points (n, 2) and over nothing else that is written; returns those without room.
+def write_beside(raster: Raster, points: Sequence[Measured], size: float, radius: float) -> bool:
+    """Write labels beside their points and over nothing else that is written; returns whether one had no room.
 
-    size, radius : of the texts and of the points, in points
+    size, radius : of the labels and of the points, in points
     """
-    around = raster.pixels(points)
+    around = raster.pixels(np.array([(point.x, point.y) for point in points]).reshape(-1, 2)).tolist()
     reach = radius * raster.ax.figure.dpi / 72.0 / _PIXEL
 
     def window(x: float, y: float, width: float, height: float) -> Bools:
         left, low = round(x - 0.5 * width), round(y - 0.5 * height)
         return raster.taken[max(0, low) : max(0, low + round(height)), max(0, left) : max(0, left + round(width))]
 
-    for x, y in around.tolist():
+    for x, y in around:
         window(x, y, 2.0 * reach, 2.0 * reach)[:] = True
-    without = []
+    is_crowded = False
     box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.85, "edgecolor": "none"}
-    for k, (text, (column, row)) in enumerate(zip(texts, around.tolist(), strict=True)):
-        width, height = raster.measure(text, size)
+    for point, (column, row) in zip(points, around, strict=True):
+        width, height = raster.measure(point.label, size)
         for right, up in _SIDES:
             x, y = column + right * (reach + 0.5 * width), row + up * (reach + 0.5 * height)
             free = window(x, y, width, height)
             if free.shape == (height, width) and not free.any():
                 free[:] = True
-                raster.write(text, x, y, size, gid="measured", bbox=box, zorder=7)
+                raster.write(point.label, x, y, size, gid="measured", bbox=box, zorder=7)
                 break
         else:
-            without.append(k)
-    return without
+            is_crowded = True
+    return is_crowded
 
 
-def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float] = SIZES) -> list[str]:
+def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float]) -> list[str]:
     """Write each name into its region, level or along it, as large as there is room; returns those that found none.
 
     sizes : that are tried

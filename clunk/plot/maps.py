@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 from matplotlib import colors, ticker
@@ -16,13 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
 from clunk.analysis.marks import ridge_of
-from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
+from clunk.plot.labelling import Raster, write_beside, write_names
 from clunk.plot.layers import MOST_LABELS, Layers, hardness
 from clunk.plot.plane import (
     USUAL,
@@ -45,6 +43,7 @@ from clunk.plot.style import (
     MOST_POINTS,
     SIZE,
     UNDEFINED,
+    Look,
     PlotError,
     add_notes,
     bare,
@@ -57,20 +56,21 @@ from clunk.plot.style import (
     symbol_text,
     tidy,
 )
-from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, Results, ToleranceMap
 from clunk.results.quantities import LABEL, NUMBER, TEXT, WHOLE, YES_NO, quantity_of
 from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 
-POINT = 6.5  # points, diameter of a measured point
-POINT_LOOKS: dict[bool, dict[str, Any]] = {  # of points that agree, and that do not
-    True: {"marker": "o", "markersize": POINT, "color": INK, "markeredgecolor": "white"},
-    False: {"marker": "X", "markersize": POINT + 1.0, "color": "#b23500", "markeredgecolor": "white"},
+_POINT = 6.5  # points, diameter of a measured point
+_POINT_LOOKS: dict[bool, tuple[str, Look]] = {  # of points that agree, and that do not
+    True: ("agrees", {"marker": "o", "markersize": _POINT, "color": INK}),
+    False: ("differs", {"marker": "X", "markersize": _POINT + 1.0, "color": "#b23500"}),
 }
+# Points: of names, tried in turn, and of measured labels; of a panel of several, and of a single map.
+_SIZES = ((8.5, 7.5, 6.5), 6.5), ((10.5, 9.5, 8.5, 8.0), 8.0)
 MOST_VALUES = (12, 4)  # of one facet, of each of two
-_POINT_TEXT = 8.0, 6.5  # points, of a map and of a panel of several
-_DOUBT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "alpha": 0.45, "markeredgewidth": 0.0}
+_DOUBT: Look = {"linestyle": "none", "marker": "o", "color": INK, "alpha": 0.45, "markeredgewidth": 0.0}
 _MAP = 330.0  # points, width of a map
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
@@ -183,14 +183,15 @@ def map_figure(
     lay_out(figure, axes[0], first.title, line or first.subtitle())
     notes: list[Artist] = []
     for ax, layers in zip(axes, panels, strict=True):
-        paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
-        notes += write_on_map(ax, layers, small=not is_single)
+        _paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
+        notes += _write_on_map(ax, layers, is_single=is_single)
     if is_single and shades is None:
-        notes += _mark_thresholds(axes[0], first, thresholds)
-    if is_single and first.shaded and first.quantity.type == NUMBER and first.quantity.name not in _WITHOUT_RIDGE:
-        notes += _draw_ridge(axes[0], first)
-    each_once = {str(note.get_label()): note for note in notes}.values()
-    add_notes(figure, sorted(each_once, key=lambda note: isinstance(note, Line2D)))
+        _mark_thresholds(axes[0], first, thresholds)
+    elif is_single and first.quantity.type == NUMBER and first.quantity.name not in _WITHOUT_RIDGE:
+        _draw_ridge(axes[0], first)
+    for ax in axes:
+        notes += ax.get_legend_handles_labels()[0]
+    add_notes(figure, [*{str(note.get_label()): note for note in notes}.values()])
     return figure
 
 
@@ -255,7 +256,7 @@ def strip(drawn: AnyMap, quantity: str = LABEL) -> Figure:
     band.set_yticks([])
     band.tick_params(bottom=False, labelbottom=False)
     lay_out(figure, band, layers.title, layers.subtitle())
-    notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names))
+    notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names, _SIZES[True][0]))
     if layers.boundaries is not None:
         changes = [f"{value:.7g}" for value in layers.boundaries.vertices[:, 0]]
         more = f" and {len(changes) - _LISTED} more" if len(changes) > _LISTED else ""
@@ -357,57 +358,47 @@ def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
     return cells
 
 
-def paint(ax: Axes, layers: Layers, shades: ScalarMappable | None = None, *, linewidth: float = 0.9) -> None:
+def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: float) -> None:
     """Fill the regions, or the cells with a quantity's colours, and draw lines and marks."""
     if shades is None and layers.paint is None and layers.boundaries is not None:
         _fill_regions(ax, layers)
     else:
         pixels = np.rint(cell_colours(layers, shades).swapaxes(0, 1)).astype(np.uint8)
-        look: dict[str, Any] = {"rasterized": True, "zorder": 0.5, "gid": "cells"}
-        ax.pcolormesh(*map(cell_edges, layers.view.axes), pixels, **look)
+        ax.pcolormesh(*map(cell_edges, layers.view.axes), pixels, rasterized=True, zorder=0.5, gid="cells")
         ax.set(xlim=layers.view.x.values[[0, -1]], ylim=layers.view.y.values[[0, -1]])
-    light = shades is not None and layers.has_light_lines
-    look = {"colors": "white" if light else INK, "linewidths": linewidth}
+    look: Look = {"colors": "white" if shades is not None and layers.has_light_lines else INK, "linewidths": linewidth}
     lines = LineCollection(layers.lines, joinstyle="round", capstyle="projecting", gid="boundaries", zorder=3, **look)
     ax.add_collection(lines, autolim=False)
-    _mark_doubts(ax, layers)
+    if len(layers.doubts):  # a quiet dot on every undecided cell, and where tracing left it open
+        size = float(np.clip(0.5 * _MAP / max(layers.codes.shape), 1.2, 2.6))
+        look = _DOUBT | {"markersize": size, "rasterized": len(layers.doubts) > MOST_POINTS}
+        ax.plot(*layers.doubts.T, zorder=4, gid="undecided", **look)
 
 
 def _fill_regions(ax: Axes, layers: Layers) -> None:
     """Fill the traced regions; the thin edge closes the seam between two of them."""
-    looks = {FAILED_CODE: (FAILED, FAILED_FILL)} | dict(enumerate(zip(layers.names, layers.colours, strict=True)))
-    for code, (name, colour) in looks.items():
-        rings = [Path(ring, closed=True) for region, rings in layers.outlines if region == code for ring in rings]
-        if rings:
-            ax.add_artist(
-                PathPatch(Path.make_compound_path(*rings), color=colour, linewidth=0.3, zorder=1, gid=f"region {name}")
-            )
+    parts: dict[int, list[Path]] = {}
+    for region, rings in layers.outlines:
+        parts.setdefault(region, []).extend(Path(ring, closed=True) for ring in rings)
+    for region, paths in parts.items():  # that of failed cells is -1, the last
+        name, colour = (*layers.names, FAILED)[region], (*layers.colours, FAILED_FILL)[region]
+        look: Look = {"color": colour, "linewidth": 0.3, "zorder": 1, "gid": f"region {name}"}
+        ax.add_artist(PathPatch(Path.make_compound_path(*paths), **look))
 
 
-def _mark_doubts(ax: Axes, layers: Layers) -> None:
-    """Put a quiet dot on every undecided cell, and where tracing left it open."""
-    if len(layers.doubts):
-        size = float(np.clip(0.5 * _MAP / max(layers.codes.shape), 1.2, 2.6))
-        look = _DOUBT | {"markersize": size, "zorder": 4, "rasterized": len(layers.doubts) > MOST_POINTS}
-        ax.plot(*layers.doubts.T, gid="undecided", **look)
-
-
-def write_on_map(ax: Axes, layers: Layers, *, small: bool = False) -> list[Artist]:
-    """Draw the measured points with their labels, and write the regions' names; returns the notes that they need.
-
-    small : in a panel of several
-    """
+def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
+    """Draw the measured points with their labels, and write the regions' names; returns the notes that they need."""
     if layers.shaded:
-        return notes_of(layers, is_counted=not small)
-    raster = Raster.of(ax, layers)
-    places = np.array([(point.x, point.y) for point in layers.points]).reshape(-1, 2)
-    for point in layers.points:
-        look: dict[str, Any] = POINT_LOOKS[point.agrees] | {"clip_on": False, "zorder": 6}
-        ax.plot([point.x], [point.y], gid="agrees" if point.agrees else "differs", **look)
-    labels = [point.label for point in layers.points]
-    without = write_beside(raster, places, labels, _POINT_TEXT[small], 0.5 * POINT + 1.5)
-    unnamed = write_names(raster, layers.names, SMALL_SIZES if small else SIZES)
-    notes = notes_of(layers, unnamed, is_counted=not small)
+        return notes_of(layers, is_counted=is_single)
+    raster, (sizes, size) = Raster.of(ax, layers), _SIZES[is_single]
+    for agrees, (gid, marker) in _POINT_LOOKS.items():
+        places = [(point.x, point.y) for point in layers.points if point.agrees == agrees]
+        if layers.points:
+            label = f"measured, {gid}" + (f": {len(places)} of {len(layers.points)}" if is_single and agrees else "")
+            look: Look = marker | {"linestyle": "none", "markeredgecolor": "white", "clip_on": False, "zorder": 6}
+            ax.plot(*np.reshape(places, (-1, 2)).T, gid=gid, label=label, **look)
+    without = write_beside(raster, layers.points, size, 0.5 * _POINT + 1.5)
+    notes = notes_of(layers, write_names(raster, layers.names, sizes), is_counted=is_single)
     return [*notes, remark("a point without a label: no room")] if without else notes
 
 
@@ -416,43 +407,31 @@ def notes_of(layers: Layers, names: Sequence[str] = (), *, is_counted: bool = Tr
 
     is_counted : whether they say how much of the map it is
     """
-
-    notes: list[Artist] = [
-        swatch(*note) if note.colour else remark(note.text) for note in layers.legend(names, is_counted=is_counted)
-    ]
-    if layers.points:
-        agreeing = sum(point.agrees for point in layers.points)
-        agrees = f"measured, agrees: {agreeing} of {len(layers.points)}" if is_counted else "measured, agrees"
-        for label, look in ((agrees, POINT_LOOKS[True]), ("measured, differs", POINT_LOOKS[False])):
-            notes.append(Line2D([], [], linestyle="none", label=label, **look))
-    return notes
+    notes = layers.legend(names, is_counted=is_counted)
+    return [swatch(*note) if note.colour else remark(note.text) for note in notes]
 
 
-def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> list[Artist]:
-    """Mark where the number of impacts for vanishing backlash changes; returns the note with these values."""
+def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> None:
+    """Mark where the number of impacts for vanishing backlash changes, and note these values."""
     low, high = ax.get_xlim()
     bottom, top = ax.get_ylim()
     inside = sorted(value for value in thresholds if low <= value <= high)
     vanishes = layers.view.y.parameter == "lash.backlash_deg" and bottom <= _VANISHING * top
-    if not (inside and vanishes and layers.view.x.parameter in _WITH_THRESHOLDS):
-        return []
-    text = f"vanishing backlash: {', '.join(f'{value:.3g}' for value in inside).replace('-', MINUS)}"
-    look: dict[str, Any] = {"linestyle": "none", "marker": "^", "color": INK, "markersize": 5.5, "label": text}
-    ax.plot(inside, [0.0] * len(inside), **look, transform=ax.get_xaxis_transform(), clip_on=False, zorder=6)
-    return [Line2D([], [], **look)]
+    if inside and vanishes and layers.view.x.parameter in _WITH_THRESHOLDS:
+        values = ", ".join(f"{value:.3g}" for value in inside).replace("-", MINUS)
+        look: Look = {"linestyle": "none", "marker": "^", "color": INK, "markersize": 5.5, "clip_on": False}
+        look |= {"label": f"vanishing backlash: {values}", "transform": ax.get_xaxis_transform(), "zorder": 6}
+        ax.plot(inside, [0.0] * len(inside), **look)
 
 
-def _draw_ridge(ax: Axes, layers: Layers) -> list[Artist]:
+def _draw_ridge(ax: Axes, layers: Layers) -> None:
     """Draw where a quantity is largest for each x, if that goes through much of the map."""
     assert layers.values is not None
     view, ridge = layers.view, ridge_of(layers.values)
     known = np.isfinite(ridge)
-    if np.mean(known) < _LONG:
-        return []
-    upward = np.where(known, view.y.values[np.nan_to_num(ridge).astype(np.intp)], np.nan)
-    symbol = symbol_text(bare(view.x.symbol) or view.x.name)
-    look: dict[str, Any] = {"color": "white", "linewidth": 1.4, "gid": "ridge"}
-    look["path_effects"] = [withStroke(linewidth=2.8, foreground=INK)]
-    look["label"] = f"largest {layers.quantity.symbol or 'value'} for each {symbol}"
-    ax.plot(view.x.values, upward, zorder=4, **look)
-    return [Line2D([], [], **look)]
+    if np.mean(known) >= _LONG:
+        upward = np.where(known, view.y.values[np.nan_to_num(ridge).astype(np.intp)], np.nan)
+        symbol = symbol_text(bare(view.x.symbol) or view.x.name)
+        look: Look = {"color": "white", "linewidth": 1.4, "gid": "ridge", "zorder": 4}
+        look["path_effects"] = [withStroke(linewidth=2.8, foreground=INK)]
+        ax.plot(view.x.values, upward, label=f"largest {layers.quantity.symbol or 'value'} for each {symbol}", **look)

@@ -96,14 +96,8 @@ def drawn_axes(drawn: Map) -> tuple[int, ...]:
 
 def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
     """Parameters with one value: axes, and a single run's coordinates."""
-    keep = drawn_axes(drawn)
-    fixed: list[ResultAxis] = []
-    for index, axis in enumerate(drawn.axes):
-        if axis.parameter == RUN and len(axis.values) == 1:
-            fixed += drawn.coordinates
-        elif index not in keep:
-            fixed.append(axis)
-    return tuple(fixed)
+    shown = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
+    return tuple(axis for axis in drawn.parameters if len(axis.values) == 1 and axis.parameter not in shown)
 
 
 def ruler(axis: ResultAxis) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:

@@ -121,32 +121,32 @@ def lay_out(
 
     parse_math : whether the line is TeX between its dollar signs
     """
-    place: dict[str, Any] = {"x": _INDENT, "ha": "left", "wrap": True}
-    heading = figure.suptitle(title, fontsize=11.5, fontweight="bold", parse_math=False, **place)
-    look: dict[str, Any] = {"fontsize": 9.0, "color": FAINT_INK, "parse_math": parse_math}
-    below = [part.suptitle(line, **look, **place) for part in figure.subfigs]
-    if not below:
+    place: Look = {"x": _INDENT, "ha": "left", "wrap": True}
+    titles = [figure.suptitle(title, fontsize=11.5, fontweight="bold", parse_math=False, **place)]
+    look: Look = {"fontsize": 9.0, "color": FAINT_INK, "parse_math": parse_math}
+    titles += [part.suptitle(line, **look, **place) for part in figure.subfigs]
+    if len(titles) == 1:
         ax.set_title(line, loc="left", wrap=True, **look)
     add_notes(figure, notes)
-    for text in (heading, *below):
+    for text in titles:
         text.set_x(ax.get_position().x0)
+    _arrange(figure)  # titles that begin further to the right may need another line
 
 
 def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
     """Put rows of notes under a figure, which grows by their height, and lay it out."""
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
     if handles:
         widest = max(len(line) for handle in handles for line in str(handle.get_label()).splitlines())
         columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
-        legend = figure.legend(
-            handles=list(handles),
-            loc="outside lower center",
-            ncols=min(columns, len(handles)),
-            frameon=False,
-            handlelength=1.6,
-        )
+        look: Look = {"loc": "outside lower center", "ncols": min(columns, len(handles)), "frameon": False}
+        legend = figure.legend(handles=list(handles), handlelength=1.6, **look)
         figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
+    _arrange(figure)
+
+
+def _arrange(figure: Figure) -> None:
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     ConstrainedLayoutEngine().execute(figure)
     figure.set_layout_engine("none")  # else it would be laid out again when it is written
 
@@ -155,7 +155,7 @@ def swatch(text: str, colour: str, **look: Any) -> Patch:
     """A note that begins with a colour."""
     from matplotlib.patches import Patch
 
-    fill: dict[str, Any] = {"facecolor": colour, "edgecolor": INK, "linewidth": 0.6} | look
+    fill: Look = {"facecolor": colour, "edgecolor": INK, "linewidth": 0.6} | look
     return Patch(label=text, **fill)
 
 
