@@ -20,8 +20,8 @@ def test_the_matrices_are_those_of_equation_2_6(nominal):
     damping = [[d1 + c12, -c12, 0, 0], [-c12, c12 + c23, -c23, 0], [0, -c23, c23, 0], [0, 0, 0, d4]]
     stiffness = [[k12, -k12, 0, 0], [-k12, k12 + k23, -k23, 0], [0, -k23, k23, 0], [0, 0, 0, k4]]
     assert np.array_equal(driveline.inertia, [0.024, 0.002, 0.002, 0.002])
-    assert driveline.damping == pytest.approx(np.array(damping), abs=1e-17)
-    assert driveline.stiffness == pytest.approx(np.array(stiffness), abs=1e-14)
+    assert driveline.matrices(closed=False)[0] == pytest.approx(np.array(damping), abs=1e-17)
+    assert driveline.matrices(closed=False)[1] == pytest.approx(np.array(stiffness), abs=1e-14)
     assert np.array_equal(driveline.lashes[0], [0, 0, 1, -1])
     assert np.array_equal(driveline.load, [1, 0, 0, 0])
     assert driveline.rigid_motion.shape.size == 0
@@ -62,7 +62,9 @@ def test_modes_with_every_damper_taken_out_have_no_damping(nominal):
     driveline = Driveline.from_study(replace_values(nominal, undamped))
     modes = driveline.modes(closed=True)
     assert modes.damping_ratio == pytest.approx(np.zeros(4), abs=1e-12)
-    closed = driveline.stiffness + driveline.contact_stiffnesses[0] * np.outer(driveline.lashes[0], driveline.lashes[0])
+    closed = driveline.matrices(closed=False)[1] + driveline.contact_stiffnesses[0] * np.outer(
+        driveline.lashes[0], driveline.lashes[0]
+    )
     squares = np.sort(np.linalg.eigvals(closed / driveline.inertia[:, None]).real)
     assert modes.frequency == pytest.approx(np.sqrt(squares) / (2.0 * np.pi), rel=1e-9)
 

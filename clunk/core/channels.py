@@ -21,7 +21,6 @@ TERMS = 20  # a multiple of four
 LEVELS = 4  # of steps, each twice as long as the one before: beyond, rounding in fast modes would spoil the series
 CONTACT_TORQUE, CLOSING = 0, 1  # the first channels of a lash, signed like q and q'
 OF_LASH = 2  # and how many these are; behind those of the last lash come the measures
-PEAK_TO_PEAK, LARGEST = 0, 1  # reductions of a channel over a run
 
 _STEP = 1.4  # of 1/rate: the next term is 1.4^20/20! = 3e-16
 
@@ -34,14 +33,14 @@ class Channels(NamedTuple):
     rates: FloatArray  # (D, K, Z, Z)  M h for the shortest step, transposed
     series: FloatArray  # (D, K, C, Z, TERMS)  coefficients by z, of powers of t/h for the shortest step
     of_impacts: int  # whether primary impacts are measured too
-    reductions: IntArray  # (C - OF_LASH L,)  of each measure
+    swings: IntArray  # (C - OF_LASH L,)  whether a measure is peak-to-peak, and not the largest magnitude
     contact_stiffness: FloatArray  # (D, L)  N m/rad
     contact_damping: FloatArray  # (D, L)  N m s/rad
     passed: FloatArray  # (D, H, L, L)  as of `System`  [kg m2]
 
     def at(self, drivelines: npt.NDArray[np.intp] | list[int]) -> "Channels":
         """Those of some drivelines."""
-        common = "of_impacts", "reductions"
+        common = "of_impacts", "swings"
         return self._replace(**{name: getattr(self, name)[drivelines] for name in self._fields if name not in common})
 
 

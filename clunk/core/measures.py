@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
+from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.jit import compiled, part
 from clunk.core.references import refer, reference_at, rows_of
@@ -168,10 +168,9 @@ def _measure(
         first, last = room.first[lash], room.first[lash + 1]
         for j in range(OF_IMPACTS):
             totals[lash, j] = root_of_squares(room.of_impacts[first:last, j], last - first)
-        for m in range(channels.reductions.size):
+        for m in range(channels.swings.size):
             low, high = room.low[OF_LASH * lashes + m], room.high[OF_LASH * lashes + m]
-            is_swing = channels.reductions[m] == PEAK_TO_PEAK
-            totals[lash, OF_IMPACTS + m] = high - low if is_swing else max(-low, high)
+            totals[lash, OF_IMPACTS + m] = high - low if channels.swings[m] else max(-low, high)
 
 
 @part

@@ -12,7 +12,7 @@ A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d,
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +38,6 @@ from clunk.core.tables import (
     Number,
     StagedShaft,
     build_tables,
-    flows_of,
     functionals_of,
     half_gap_of,
     stages_of,
@@ -245,8 +244,7 @@ def rubs(friction: Friction, rigid: RigidMotion) -> bool:
 def build_system(
     *,
     inertia: FloatArray,
-    damping: FloatArray,
-    stiffness: FloatArray,
+    chains: Mapping[FlowOf, tuple[FloatArray, FloatArray]],
     load: FloatArray,
     lashes: Sequence[Lash],
     end_time: Number,
@@ -266,8 +264,8 @@ def build_system(
     Parameters
     ----------
     inertia : (n,) float64  [kg m2]
-    damping, stiffness : (n, n) float64  [N m s/rad], [N m/rad]
-        Of the chain with all lashes open, report Eq. 2.6.
+    chains : of (n, n), (n, n) float64  [N m s/rad], [N m/rad]
+        Damping and stiffness in each flow, in the order of their numbers, without its constraints.
     load : (n,) float64
         1 at the loaded inertia.
     lashes : of Lash
@@ -280,7 +278,7 @@ def build_system(
     ramps : bool
         Whether the torque's rate of change, an input, can be other than zero.
     staged : of StagedShaft
-        Shafts whose stiffness is not part of `stiffness`.
+        Their stiffness in a flow's stages is part of its chain's.
     loose : of bool
         Whether a part of the driveline is free to turn in one combination of stages, with all lashes closed, that is
         not so in others.
@@ -289,7 +287,7 @@ def build_system(
     (*batch, n), count, stride = inertia.shape, len(lashes), functionals_of(lashes)
     impulsive, constants = lashes[0].restitution is not None, INPUTS + count - 1
     rubbing, twists = constants + len(staged), np.stack([lash.twist for lash in lashes], axis=-2)
-    driven, every = rubbing + OF_FRICTION * len(frictions), flows_of(count, staged, len(frictions))
+    driven, every = rubbing + OF_FRICTION * len(frictions), list(chains)
     mobility = (twists**2 / inertia[..., None, :]).sum(axis=-1)
     impulse, passed = _impacts(inertia, twists, mobility, 2**count if impulsive and count > 1 else 1)
 
@@ -302,7 +300,15 @@ def build_system(
 
     @functools.cache
     def flow_of(active: FlowOf) -> tuple[FloatArray, FloatArray]:
-        return locked_in(active, *_flow(inertia, damping, stiffness, load, lashes, staged, frictions, active))
+        rates, inputs = chain(inertia, *chains[active], load, driven)
+        for k, lash in enumerate(lashes):
+            if active.closed[k] and not impulsive:
+                inputs[..., n:, half_gap_of(k)] = np.asarray(lash.stiffness)[..., None] * lash.twist / inertia
+        for k, shaft in enumerate(staged, constants):
+            inputs[..., n:, k] = -shaft.twist / inertia
+        for k, friction in enumerate(frictions):
+            inputs[..., n:, rubbing + OF_FRICTION * k] = -friction.twist / inertia
+        return locked_in(active, rates, inputs)
 
     rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, every), strict=True))
     first_rate = count * stride + len(staged)
@@ -346,24 +352,24 @@ def build_system(
             excess[flow] |= held is None and active.stuck[k]
 
     motions = rigid.shape.shape[-1]
-    springs = [stiffness + _of_stages(staged, stages) for stages in stages_of(staged)]
-    steady = np.zeros((*batch, len(springs), 2 * n, driven))
-    carried = np.zeros((*batch, len(springs), count, driven))
+    opened_in = [FlowOf((0,) * count, stages, (0,) * len(frictions)) for stages in stages_of(staged)]
+    steady = np.zeros((*batch, len(opened_in), 2 * n, driven))
+    carried = np.zeros((*batch, len(opened_in), count, driven))
     torques, gaps = np.zeros((*batch, n, driven)), np.zeros((count, driven))
     torques[..., TORQUE] = load
     if motions:
-        drag = (damping @ rigid.speeds[..., None])[..., 0]
+        drag = (chains[every[0]][0] @ rigid.speeds[..., None])[..., 0]
         torques[..., TORQUE] = load - drag - inertia * rigid.accelerations
     for k, shaft in enumerate(staged, constants):
         torques[..., k] = -shaft.twist
     gaps[range(count), [half_gap_of(k) for k in range(count)]] = 1.0
     compliance = _of_lashes([0.0 if impulsive else 1.0 / lash.stiffness for lash in lashes])
     momentum = inertia[..., None] * rigid.shape
-    for k, spring in enumerate(springs if motions <= 1 else []):
+    for k, active in enumerate(opened_in if motions <= 1 else []):
         if loose[k]:
             steady[..., k, :, :] = np.nan  # no equilibrium, or many
             continue
-        angles, carried[..., k, :, :] = preload(spring, torques, twists, gaps, momentum, compliance)
+        angles, carried[..., k, :, :] = preload(chains[active][1], torques, twists, gaps, momentum, compliance)
         steady[..., k, :n, :], steady[..., k, n:, TORQUE] = angles, rigid.speeds
     status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
     drift = np.zeros((*rigid.shape.shape[:-2], 2 * n, 0))
@@ -412,35 +418,6 @@ def build_system(
     return system if wave_rates is None else _with_wave(system, wave_rates)
 
 
-def _flow(
-    inertia: FloatArray,
-    damping: FloatArray,
-    stiffness: FloatArray,
-    load: FloatArray,
-    lashes: Sequence[Lash],
-    staged: Sequence[StagedShaft],
-    frictions: Sequence[Friction],
-    active: FlowOf,
-) -> tuple[FloatArray, FloatArray]:
-    """A and B of a flow without its constraints: (2n, 2n), (2n, I)."""
-    n, constants = inertia.shape[-1], INPUTS + len(lashes) - 1
-    stiffness = stiffness + _of_stages(staged, active.stages)
-    closed = [(k, lash) for k, lash in enumerate(lashes) if active.closed[k] and lash.restitution is None]
-    for _, lash in closed:
-        coupling = lash.twist[..., :, None] * lash.twist[..., None, :]
-        damping = damping + _in_each_flow(lash.damping) * coupling
-        stiffness = stiffness + _in_each_flow(lash.stiffness) * coupling
-    rubbing = constants + len(staged)
-    rates, inputs = chain(inertia, damping, stiffness, load, rubbing + OF_FRICTION * len(frictions))
-    for k, lash in closed:
-        inputs[..., n:, half_gap_of(k)] = np.asarray(lash.stiffness)[..., None] * lash.twist / inertia
-    for k, shaft in enumerate(staged, constants):
-        inputs[..., n:, k] = -shaft.twist / inertia
-    for k, friction in enumerate(frictions):
-        inputs[..., n:, rubbing + OF_FRICTION * k] = -friction.twist / inertia
-    return rates, inputs
-
-
 def _impacts(inertia: FloatArray, twists: FloatArray, mobility: FloatArray, sets: int) -> tuple[FloatArray, FloatArray]:
     """What an impact across each lash changes per unit of q', and what passes through every lash, `System.passed`.
 
@@ -477,15 +454,6 @@ def _with_wave(system: System, wave_rates: FloatArray) -> System:
         impulse=_wider(system.impulse),
         preload=_wider(system.preload.swapaxes(-1, -2)).swapaxes(-1, -2).copy(),
     )
-
-
-def _of_stages(staged: Sequence[StagedShaft], stages: tuple[int, ...]) -> FloatArray | float:
-    """What staged shafts add to the stiffness in some stages: (n, n)  [N m/rad]."""
-    parts = (
-        shaft.stiffness[..., stage, None, None] * shaft.twist[..., :, None] * shaft.twist[..., None, :]
-        for shaft, stage in zip(staged, stages, strict=True)
-    )
-    return sum(parts, 0.0)
 
 
 def _of_lashes(numbers: Sequence[FloatArray | float], batch: Sequence[int] = ()) -> FloatArray:

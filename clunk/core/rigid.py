@@ -99,8 +99,10 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
     one for which that holds, and there is only one but for lashes through which nothing passes, which stay closed.
     Without a gap, there is a flank on either side.
     """
-    closed = held_with(system, regime, lash)
-    held, always = closed, _without_gap(system, closed, inputs)
+    closed, always = held_with(system, regime, lash), 0  # those with a flank on either side
+    for other in range(lashes_of(system)):
+        always |= (closed >> other & 1 and inputs[gap_input(other)] <= 0.0) << other
+    held = closed
     while held > always:
         fits = held & always == always
         for other in range(lashes_of(system)):
@@ -129,15 +131,6 @@ def held_with(system: System, regime: int, lash: int) -> int:
     for other in range(lashes_of(system)):
         held |= (other != lash and system.contacts[regime, other].closed != 0) << other
     return held
-
-
-@inlined_part
-def _without_gap(system: System, closed: int, inputs: FloatArray) -> int:
-    """Those of some lashes, as bits, that have a flank on either side."""
-    always = 0
-    for lash in range(lashes_of(system)):
-        always |= (closed >> lash & 1 and inputs[gap_input(lash)] <= 0.0) << lash
-    return always
 
 
 @inlined_part

@@ -97,21 +97,6 @@ def breakpoint_of(system: System, regime: int, guard: int) -> float:
 
 
 @part
-def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> float:
-    """How far the twist of a staged shaft lies within a breakpoint, as a share of both; 0 where rounding decides.
-
-    NaN where no stiffness tells the twist.
-    """
-    row, value = system.guards[regime, guard], breakpoint_of(system, regime, guard)
-    scale = abs(value)
-    for k in range(x.size):
-        term = system.functionals[0, row.functional, k] * x[k]
-        value += row.sign * term
-        scale += abs(term)
-    return 0.0 if abs(value) <= _WITHIN * scale else value / scale
-
-
-@part
 def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool]:
     """Whether the twists of the staged shafts lie, but for rounding, within the stages of a regime.
 
@@ -121,11 +106,17 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
         if guard.event_kind == STAGE and guard.successor >= 0:  # what follows where a friction's ends is not known
-            within = _within_stage(system, regime, g, x)
-            if not within >= 0.0:
+            value = breakpoint_of(system, regime, g)
+            scale = abs(value)
+            for k in range(x.size):
+                term = guard.sign * system.functionals[0, guard.functional, k] * x[k]
+                value += term
+                scale += abs(term)
+            is_at_breakpoint = abs(value) <= _WITHIN * scale
+            if not (is_at_breakpoint or value >= 0.0):  # NaN where no stiffness tells the twist
                 return False, False
             behind = system.preload[guard.successor // system.regime_strides[lashes_of(system)], 0, TORQUE]
-            is_beside_loose = is_beside_loose or (within == 0.0 and np.isnan(behind))
+            is_beside_loose = is_beside_loose or (is_at_breakpoint and np.isnan(behind))
     return True, is_beside_loose
 
 

@@ -96,7 +96,6 @@ class Driveline:
         for k, each in staged:  # at a breakpoint, the stage above
             stiffness[..., k] = each.stiffness[..., np.count_nonzero(alike(each.breakpoints <= 0.0))]
         radii = numbers(of_lashes, "radius", [lash.radius for lash in lashes])
-        squares = np.reshape([radius**2 for radius in radii.ravel().tolist()], radii.shape)  # as Python rounds them
         in_contact = [(*place, "contact") for place in of_lashes]
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
@@ -105,31 +104,21 @@ class Driveline:
             shaft_stiffness=stiffness,
             shaft_damping=numbers(of_shafts, "damping", [shaft.damping for shaft in shafts]),
             lashes=rows,
-            contact_stiffnesses=squares
+            contact_stiffnesses=radii**2
             * numbers(in_contact, "stiffness", [each.stiffness or 0.0 for each in contacts]),
-            contact_dampings=squares * numbers(in_contact, "damping", [each.damping or 0.0 for each in contacts]),
+            contact_dampings=radii**2 * numbers(in_contact, "damping", [each.damping or 0.0 for each in contacts]),
             load=np.eye(n)[int(study.load.on) - 1],
             staged=staged,
             shaft_friction=numbers(of_shafts, "friction", [shaft.friction for shaft in shafts]),
             varied=varied,
         )
 
-    @cached_property
-    def damping(self) -> FloatArray:
-        """(n, n) damping with the lash open  [N m s/rad]."""
-        return _across(self.shafts, self.shaft_damping)
-
-    @cached_property
-    def stiffness(self) -> FloatArray:
-        """(n, n) stiffness with the lash open  [N m/rad]."""
-        return _across(self.shafts, self.shaft_stiffness)
-
     def matrices(self, *, closed: bool | Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Damping and stiffness, (n, n) each, with the springs and dampers of closed lashes: of all, none, or some.
 
         closed : (L,), whether each is, or one for all
         """
-        damping, stiffness = self.damping, self.stiffness
+        damping, stiffness = _across(self.shafts, self.shaft_damping), _across(self.shafts, self.shaft_stiffness)
         for k in np.flatnonzero(np.broadcast_to(closed, self.lashes.shape[-2])):
             coupling = self.lashes[..., k, :, None] * self.lashes[..., k, None, :]
             damping = damping + self.contact_dampings[..., k, None, None] * coupling
@@ -153,13 +142,6 @@ class Driveline:
             frictions.append((Friction(shaft, total), torques / total[..., None]))
             rest[..., beside] = 0.0
         return tuple(frictions)
-
-    @cached_property
-    def plain_stiffness(self) -> FloatArray:
-        """(n, n) stiffness with the lash open, without the shafts that have stages  [N m/rad]."""
-        plain = self.shaft_stiffness.copy()
-        plain[..., [k for k, _ in self.staged]] = 0.0
-        return _across(self.shafts, plain)
 
     @cached_property
     def is_spring(self) -> npt.NDArray[np.bool_]:
@@ -281,8 +263,7 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
     staged, motions = [shaft for _, shaft in driveline.staged], driveline.rigid_motion.shape.shape[-1]
     return build_system(
         inertia=driveline.inertia,
-        damping=driveline.damping,
-        stiffness=driveline.plain_stiffness,
+        chains=_chains(study, driveline),
         load=driveline.load,
         lashes=[_core_lash(study, driveline, k) for k in range(len(study.lashes))],
         end_time=driveline.varied.get(("solver", "end_time"), study.solver.end_time),
@@ -314,21 +295,29 @@ def _core_lash(study: Study, driveline: Driveline, k: int) -> tables.Lash:
     )
 
 
+def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[FloatArray, FloatArray]]:
+    """Damping and stiffness in each flow, without its constraints."""
+    staged, is_rigid = [shaft for _, shaft in driveline.staged], study.lashes[0].contact.model == "restitution"
+    flows = tables.flows_of(len(study.lashes), staged, len(driveline.frictions))
+    return {
+        each: driveline.in_stages(each.stages).matrices(closed=False if is_rigid else each.closed) for each in flows
+    }
+
+
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     restitution = study.lashes[0].contact.model == "restitution"
-    staged = [shaft for _, shaft in driveline.staged]
-    lashes, rubbing = driveline.lashes.shape[-2], [friction.twist[..., None, :] for friction, _ in driveline.frictions]
-    twists, chains = np.concatenate([driveline.lashes, *rubbing], axis=-2), []
-    for closed, stages, stuck in tables.flows_of(lashes, staged, len(rubbing)):
+    rubbing, chains = [friction.twist[..., None, :] for friction, _ in driveline.frictions], []
+    twists = np.concatenate([driveline.lashes, *rubbing], axis=-2)
+    for (closed, stages, stuck), of_flow in _chains(study, driveline).items():
         line = driveline.in_stages(stages)
-        if not staged and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
+        if not stages and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
             parts = driveline.rigid_motion.shape
         else:
             tied = twists[..., np.array([*closed, *stuck]) > 0, :]
             parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
         ties = constrained(twists, [*(restitution * lash for lash in closed), *stuck])
-        chains.append(_chain(line, (0,) * len(closed) if restitution else closed, ties, parts))
-    held = tables.held_inputs(lashes, len(rubbing), system.inputs.shape[-1])
+        chains.append(_chain(driveline.inertia, *of_flow, ties, parts))
+    held = tables.held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
     spans = MORE_SPANS if alike(_is_fast(study, driveline), 0) else SPANS
     matrices = system.rates, system.inputs, system.functionals, system.feedthrough
     return build_flows(*matrices, chains, held, system.drift, spans)
@@ -343,15 +332,16 @@ def _is_fast(study: Study, driveline: Driveline) -> npt.NDArray[np.bool_]:
     return np.asarray(np.abs(rates).max(axis=(-2, -1)) * end_time > _FAST)
 
 
-def _chain(line: Driveline, closed: tuple[int, ...], ties: Reduction, parts: FloatArray) -> Chain:
-    """The chain with contacts and ties; each row of its basis has one entry at most: its inertias stay diagonal."""
-    damping, stiffness = line.matrices(closed=closed)
-    n, left = line.inertia.shape[-1], ties.expand.shape[-1] // 2
+def _chain(
+    inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, ties: Reduction, parts: FloatArray
+) -> Chain:
+    """The chain with ties; each row of its basis has one entry at most: its inertias stay diagonal."""
+    n, left = inertia.shape[-1], ties.expand.shape[-1] // 2
     if left == n:
-        return Chain(line.inertia, damping, stiffness, *ties, parts)
+        return Chain(inertia, damping, stiffness, *ties, parts)
     basis, pick = ties.expand[..., :n, :left], ties.pick[..., :left, :n]
-    inertia = (line.inertia[..., None, :] @ basis**2)[..., 0, :]
-    return Chain(inertia, _tied(damping, basis), _tied(stiffness, basis), *ties, pick @ parts)
+    tied = (inertia[..., None, :] @ basis**2)[..., 0, :]
+    return Chain(tied, _tied(damping, basis), _tied(stiffness, basis), *ties, pick @ parts)
 
 
 def _tied(matrix: FloatArray, basis: FloatArray) -> FloatArray:

@@ -204,7 +204,7 @@ def sample(
 
     line, motion = Driveline.from_study(study), _Motion(trajectory, system, load, inputs_before, step)
     gains = line.rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
-    phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)]
+    phases = [_before_load_step(trajectory, system, gains, begin, step)]
     started = int(np.searchsorted(trajectory.phases["time"], end, side="right"))
     phases += [phase for k in range(started) for phase in motion.after_event(k, end)]
     columns = zip(*(motion.observed(phase, line) for phase in phases), strict=True)
@@ -261,10 +261,10 @@ class _Phase(NamedTuple):
 
 
 def _before_load_step(
-    trajectory: Trajectory, system: System, acceleration: Floats, begin: float, end: float, step: float
+    trajectory: Trajectory, system: System, acceleration: Floats, begin: float, step: float
 ) -> _Phase:
     """The steady motion before the load step, with its constant acceleration, (n,)  [rad/s2]."""
-    time = np.concatenate(([begin] if begin < end else [], _grid(begin, end, step) * step, [end]))
+    time = np.concatenate(([begin] if begin < 0.0 else [], _grid(begin, 0.0, step) * step, [0.0]))
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_TO_PEAK, Channels, tabulate
+from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, Channels, tabulate
 from clunk.core.regimes import Each, System
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
 from clunk.simulation.driveline import Driveline
@@ -39,7 +39,7 @@ def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Ch
     return Channels(
         *tabulate(each, rows, system),
         of_impacts=int(bool(study.impacts.quantities)),
-        reductions=np.array([{"peak-to-peak": PEAK_TO_PEAK}.get(each.reduce, LARGEST) for each in measures], np.int64),
+        swings=np.array([measure.reduce == "peak-to-peak" for measure in measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
         contact_damping=pressed * np.atleast_2d(line.contact_dampings),
         passed=each.passed,

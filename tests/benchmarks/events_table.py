@@ -108,7 +108,7 @@ def preload(study, driveline):
     half_gaps = np.deg2rad(backlash_deg) / 2
     before = loads_of(study.load, ratio.size, ratio=ratio).before
     lash, stiffness = driveline.lashes[0], driveline.contact_stiffnesses[0]
-    closed = driveline.stiffness + stiffness * np.outer(lash, lash)
+    closed = driveline.matrices(closed=False)[1] + stiffness * np.outer(lash, lash)
     side = np.where(np.linalg.solve(closed, driveline.load) @ lash * before > 0.0, 1.0, -1.0)
     forces = np.outer(driveline.load, before) + stiffness * np.outer(lash, side * half_gaps)
     return half_gaps, np.linalg.solve(closed, forces), side

@@ -39,8 +39,16 @@ def make(tolerance: float):
 
     system = list(zip(angles, speeds, strict=True))
     for k, inertia in enumerate(driveline.inertia):
-        terms = [-driveline.stiffness[k, m] / inertia * angles[m] for m in range(n) if driveline.stiffness[k, m]]
-        terms += [-driveline.damping[k, m] / inertia * speeds[m] for m in range(n) if driveline.damping[k, m]]
+        terms = [
+            -driveline.matrices(closed=False)[1][k, m] / inertia * angles[m]
+            for m in range(n)
+            if driveline.matrices(closed=False)[1][k, m]
+        ]
+        terms += [
+            -driveline.matrices(closed=False)[0][k, m] / inertia * speeds[m]
+            for m in range(n)
+            if driveline.matrices(closed=False)[0][k, m]
+        ]
         if driveline.load[k]:
             terms.append(torque / inertia)
         if driveline.lashes[0][k]:

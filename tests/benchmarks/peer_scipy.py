@@ -25,8 +25,8 @@ def make(**options):
 
     def rates(closed):
         coupling = closed * np.outer(lash, lash)
-        stiffness = driveline.stiffness + driveline.contact_stiffnesses[0] * coupling
-        damping = driveline.damping + driveline.contact_dampings[0] * coupling
+        stiffness = driveline.matrices(closed=False)[1] + driveline.contact_stiffnesses[0] * coupling
+        damping = driveline.matrices(closed=False)[0] + driveline.contact_dampings[0] * coupling
         return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / inertia[:, None], -damping / inertia[:, None]]])
 
     opened, closed = rates(0.0), rates(1.0)
