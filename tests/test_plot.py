@@ -329,8 +329,9 @@ def test_neighbours_and_groups_differ_in_colour_for_everybody(vision: str) -> No
     def seen(colour: str) -> np.ndarray:
         return _lightness_a_b(np.clip(np.array(VISION[vision]) @ _linear(colour), 0.0, 1.0))
 
-    for one, other in NEIGHBOURS:
-        assert np.linalg.norm(seen(colour_of(one)) - seen(colour_of(other))) > 2.3, (one, other)
+    neighbours = [(colour_of(one), colour_of(other)) for one, other in NEIGHBOURS]
+    for one, other in (*neighbours, *itertools.combinations(map(group_colour, range(14)), 2)):
+        assert np.linalg.norm(seen(one) - seen(other)) > 2.3, (one, other)
     of_figure_3_4, groups = [*map(colour_of, LABELS)], [colour_of("NI"), *map(group_colour, range(6))]
     for one, other in (*itertools.combinations(of_figure_3_4, 2), *itertools.combinations(groups, 2)):
         assert np.linalg.norm(seen(one) - seen(other)) > 5.0, (one, other)

@@ -47,7 +47,7 @@ _NO_IMPACT = "#f6f5f1"
 # too (Machado et al. 2009; tests/test_plot.py).
 HUES = ("#8fae20", "#1154d4", "#d95f28", "#a05585", "#199ec4", "#725ed4", "#c98a2a")
 _LIGHTEST, _RANGE, _FALL = 0.172, 0.62, 2.35  # depth of a tint, and how it grows with what follows
-_GROUP_TINT = 0.55
+_GROUP_TINTS = (0.55, 0.85, 0.25)  # from 0, 7 and 14 double-sided impacts on, where the hues begin again
 _WEIGHTS = {"DS": 0.0, "SS": 1.0, "OS": 1.67, "CR": 0.0}  # of an excursion, in what follows
 _BEFORE = 0.4  # more for an excursion before the last double-sided one
 _STYLE: dict[str, Any] = {
@@ -204,7 +204,8 @@ def shades(count: int) -> list[str]:
 
 def group_colour(count: int) -> str:
     """Colour of all labels with this number of double-sided impacts."""
-    return tint(HUES[count % len(HUES)], _GROUP_TINT)
+    again, hue = divmod(count, len(HUES))
+    return tint(HUES[hue], _GROUP_TINTS[again % len(_GROUP_TINTS)])
 
 
 def colour_of(label: str) -> str:
