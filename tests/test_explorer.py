@@ -88,11 +88,11 @@ class TestNewest:
         newest = Newest("test", errors.append)
 
         def work(number):
-            def run(request):
+            def run(go_on):
                 began.set()
                 deadline = time.monotonic() + 10.0
                 while number == 0 and time.monotonic() < deadline:
-                    request.go_on()
+                    go_on()
                 done.append(number)
 
             return run
@@ -101,11 +101,11 @@ class TestNewest:
         assert began.wait(10.0)
         finished = threading.Event()
         newest.submit(work(1))
-        newest.submit(lambda request: (work(2)(request), finished.set()))
+        newest.submit(lambda go_on: (work(2)(go_on), finished.set()))
         assert finished.wait(10.0)
         assert 0 not in done
         assert done[-1] == 2
-        newest.submit(lambda request: 1 / 0)
+        newest.submit(lambda go_on: 1 / 0)
         deadline = time.monotonic() + 10.0
         while not errors and time.monotonic() < deadline:
             time.sleep(0.01)

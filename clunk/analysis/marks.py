@@ -3,9 +3,9 @@
 import numpy as np
 
 from clunk.results.maps import Map
-from clunk.simulation.small_gap import rigid_contact_thresholds, thresholds_on
 from clunk.study.arrays import Floats
 from clunk.study.config import study_from_text
+from clunk.study.loads import is_ideal_step
 from clunk.study.study import replace_values
 
 
@@ -16,15 +16,15 @@ def thresholds_of(results: Map) -> list[float]:
     values of these results; empty where there is none, where shafts have friction, of which the linear view knows
     nothing, and of several lashes, which do not open one by one.
     """
-    if results.lashes:
-        return []
     changing = (axis.parameter for axis in results.axes if len(axis.values) > 1)
     parameter = next((name for name in changing if name.startswith("load.")), None)
-    if parameter is None:
+    if results.lashes or parameter is None:
         return []
     study = study_from_text(results.config, source="the results file's config")
-    if any(shaft.friction for shaft in study.driveline.shafts):
+    if not is_ideal_step(study.load) or any(shaft.friction for shaft in study.driveline.shafts):
         return []
+    from clunk.simulation.small_gap import rigid_contact_thresholds, thresholds_on  # 0.3 s, for no other map
+
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
     study = replace_values(study, fixed)
     return [float(value) for value in thresholds_on(study, parameter, rigid_contact_thresholds(study))]

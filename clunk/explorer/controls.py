@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from bokeh.models import Column, Div, NumericInput, Row, Select, Slider
 
-from clunk.explorer.figures import title_of
+from clunk.explorer.figures import WIDE, title_of
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.designs import is_unused
 from clunk.study.keys import Key
@@ -69,7 +69,7 @@ class Controls:
         self._config = adjustable(study, swept)
         self._values: dict[str, float] = {}
         self._changes: dict[str, Callable[[float | None], None]] = {}
-        self._more = Select(name="more", sizing_mode="stretch_width", margin=(2, 6, 2, 6))
+        self._more = Select(name="more", **WIDE)
         self._more.on_change("value", lambda _attribute, _old, key: self._add(key))
         self.layout = Column(sizing_mode="stretch_width")
         for axis in axes:

@@ -44,7 +44,7 @@ _SHADES = 256
 _LISTED = 16  # edges of a strip's bands
 _COLUMNS = 800  # spans of time that a screen tells apart
 _BESIDE = 72, 32  # pixels left and right of all panels, so that their time axes lie under each other
-_WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
+WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 _TEXT = {"text_font_size": "11px"}
 
 Cell = tuple[float, ...]  # values of the map's axes
@@ -101,7 +101,7 @@ class MapFigure:
         plot.grid.visible = False
         # of one height, or the map would be drawn anew with every text
         styles = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
-        self.legend = Div(name="legend", height=62, styles=styles, **_WIDE)
+        self.legend = Div(name="legend", height=62, styles=styles, **WIDE)
         columns = {"image": "image x y dw dh", "bands": "x0 x1 colour", "lines": "x y", "points": "x y"}
         sources = {name: _source(names) for name, names in (columns | {"names": "text x y"}).items()}
         self._marks, self._pointed = _source("x y colour"), _source("x y text align offset")
@@ -276,9 +276,9 @@ class RunFigures:
 
     def __init__(self, load_step: float) -> None:
         self._load_step = load_step
-        self.header = Div(name="header", height=62, styles={"overflow": "hidden", "flex": "none"}, **_WIDE)
-        self.compared = Div(name="compared", styles={"flex": "none"}, **_WIDE)
-        self.events = Div(name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **_WIDE)
+        self.header = Div(name="header", height=62, styles={"overflow": "hidden", "flex": "none"}, **WIDE)
+        self.compared = Div(name="compared", styles={"flex": "none"}, **WIDE)
+        self.events = Div(name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **WIDE)
         self.events.update(sizing_mode="stretch_both", min_height=80, max_height=170)
         self._runs: Sequence[History] = []
         self._time = Range1d(0.0, 1.0)

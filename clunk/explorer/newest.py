@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+GoOn = Callable[..., None]  # raises Superseded where a newer request has come; takes what progress is told
 
 
 class Superseded(Exception):  # noqa: N818  # no error: a newer request has come
     """Raised within work that a newer request has made superfluous."""
-
-
-class Request:
-    """A piece of work that may be superseded while it runs."""
-
-    def __init__(self) -> None:
-        self._is_superseded = threading.Event()
-        self.supersede = self._is_superseded.set
-
-    def go_on(self, *_: object) -> None:
-        """Raise Superseded where the work is no longer wanted; takes what progress functions are called with."""
-        if self._is_superseded.is_set():
-            raise Superseded
 
 
 class Newest:
@@ -33,14 +21,28 @@ class Newest:
     def __init__(self, name: str, on_error: Callable[[Exception], None]) -> None:
         self._on_error = on_error
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"clunk {name}")
-        self._newest = Request()
+        self._requests = 0
         self._submitted: Future[None] | None = None
 
-    def submit(self, work: Callable[[Request], None]) -> None:
+    def submit(self, work: Callable[[GoOn], None]) -> None:
         """Do this work, and none that was submitted before."""
-        self._newest.supersede()
-        self._newest = request = Request()
-        self._submitted = self._worker.submit(self._attempt, work, request)
+        self._requests += 1
+        number = self._requests
+
+        def go_on(*_: object) -> None:
+            if number != self._requests:
+                raise Superseded
+
+        def attempt() -> None:
+            try:
+                go_on()
+                work(go_on)
+            except Superseded:
+                pass
+            except Exception as error:
+                self._on_error(error)
+
+        self._submitted = self._worker.submit(attempt)
 
     def wait(self, seconds: float) -> None:
         """Wait until the newest work is done, for so long at most."""
@@ -49,14 +51,5 @@ class Newest:
 
     def close(self) -> None:
         """Stop what runs and end the thread."""
-        self._newest.supersede()
+        self._requests += 1
         self._worker.shutdown(wait=False)
-
-    def _attempt(self, work: Callable[[Request], None], request: Request) -> None:
-        try:
-            request.go_on()
-            work(request)
-        except Superseded:
-            pass
-        except Exception as error:
-            self._on_error(error)

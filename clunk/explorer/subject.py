@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 
 from clunk.analysis.boundaries import BoundaryError, with_boundaries
+from clunk.plot.plane import parted_axes
 from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap, parameters_of, values_at
 from clunk.simulation.history import History, sample, shown_until
@@ -23,7 +24,6 @@ from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
-_USUAL = ("load.ratio", "lash.backlash_deg")  # stay on the map where there are more axes
 _MOST_RUNS = 80_000  # along the boundaries of a map, a second or so
 _COARSE = 31  # values of an axis, of the map that is shown first
 
@@ -52,17 +52,15 @@ class Subject:
         self.study = nominal(self._toleranced)
         self._axes = tuple(axis for axis in results.axes if axis.parameter != LASH)
         changing = [axis for axis in self._axes if len(axis.values) > 1]
-        ranked = sorted(changing, key=lambda axis: (axis.parameter == RUN, axis.parameter not in _USUAL))
-        chosen = [axis for k, axis in enumerate(ranked[:2]) if k == 0 or axis.parameter != RUN]  # runs have no order
-        chosen.sort(key=lambda axis: (axis.parameter != "load.ratio", self._axes.index(axis)))
-        self.plane = tuple(chosen)
+        grid = [axis for axis in changing if axis.parameter != RUN]  # runs have no order
+        self.plane = tuple(parted_axes(grid or changing)[0])
         self.slices = tuple(axis for axis in changing if axis not in self.plane)
         swept = (axis for axis in results.parameters if axis.parameter != LASH)
         self.swept = tuple(axis for axis in swept if len(axis.values) > 1)
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""
-        swept = values_at(self._axes, _position(self._axes, cell), self.results.coordinates)
+        swept = values_at(self._axes, position(self._axes, cell), self.results.coordinates)
         names = [axis.parameter for axis in parameters_of(self._axes, self.results.coordinates)]
         return dict(zip(names, swept, strict=True))
 
@@ -71,7 +69,7 @@ class Subject:
         if not isinstance(self.results, ToleranceMap):
             return ""
         part = self.results.of_lash(lash)
-        shares = zip((*part.labels, FAILED), part.probability[_position(part.axes, cell)].tolist(), strict=True)
+        shares = zip((*part.labels, FAILED), part.probability[position(part.axes, cell)].tolist(), strict=True)
         likely = sorted(((share, label) for label, share in shares if share), reverse=True)
         return f"of {part.draws:,} draws: " + ", ".join(f"{label} {100.0 * share:.3g} %" for share, label in likely)
 
@@ -148,5 +146,6 @@ def of_one_cell(study: Study) -> Study:
     return study.model_copy(update={"sweep": Sweep(axes=(axis,))})
 
 
-def _position(axes: tuple[ResultAxis, ...], cell: Numbers) -> tuple[int, ...]:
+def position(axes: tuple[ResultAxis, ...], cell: Numbers) -> tuple[int, ...]:
+    """Indices of the cell nearest to values of axes, of others the first."""
     return tuple(axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in axes)

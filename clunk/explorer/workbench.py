@@ -6,30 +6,24 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from html import escape
 from pathlib import PurePath
 from typing import Any
 
+import numpy as np
 from bokeh.document import Document
-from bokeh.events import (
-    ConnectionLost,
-    DocumentReady,
-    DoubleTap,
-    MouseLeave,
-    MouseMove,
-    PointEvent,
-    Press,
-    Tap,
-)
+from bokeh.events import ConnectionLost, DocumentReady, DoubleTap, MouseLeave, MouseMove, PointEvent, Press, Tap
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Model, Pane, Select, UIElement
 
 from clunk.explorer.controls import Controls
-from clunk.explorer.figures import RUN_COLOURS, Cell, Changes, MapFigure, Message, RunFigures, Shown
-from clunk.explorer.newest import Newest, Request
-from clunk.explorer.subject import Subject
+from clunk.explorer.figures import RUN_COLOURS, WIDE, Cell, Changes, MapFigure, Message, RunFigures, Shown
+from clunk.explorer.newest import GoOn, Newest
+from clunk.explorer.subject import Subject, position
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
+from clunk.plot.style import FAINT_INK
 from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, TEXT, quantities_of
@@ -104,17 +98,10 @@ class Workbench:
         first = described[0][0] if len(subject.plane) > 1 else hardness(results)
         names = list(results.lash_names)
         self._quantity = Select(value=first, options=described, name="quantity", visible=bool(subject.plane), width=260)
-        self._lash = Select(value=names[0], options=names, name="of lash", visible=bool(results.lashes), width=260)
-        one_line = {"color": "#5b646c", "flex": "none", "overflow": "hidden", "white-space": "nowrap"}
-        self._status = Div(
-            text="…",
-            name="status",
-            render_as_text=True,
-            height=20,
-            styles=one_line,
-            sizing_mode="stretch_width",
-            margin=(2, 6, 2, 6),
-        )
+        lashes = list(zip(names, names, strict=True))
+        self._lash = Select(value=names[0], options=lashes, name="of lash", visible=bool(results.lashes), width=260)
+        one_line = {"color": FAINT_INK, "flex": "none", "overflow": "hidden", "white-space": "nowrap"}
+        self._status = Div(text="…", name="status", render_as_text=True, height=20, styles=one_line, **WIDE)
         self._figures = RunFigures(subject.study.load.step_time)
         self._keys = ColumnDataSource(data={"key": [], "steps": []})
         self._link = ColumnDataSource(data={})
@@ -148,21 +135,16 @@ class Workbench:
             _box("column", self._controls.layout, overflow_y="auto", **room),
             self._status,
         ]
-        panels = self._figures
-        right = [
-            panels.header,
-            panels.compared,
-            *panels.figures.values(),
-            panels.events,
-        ]
+        runs = self._figures
+        right = [runs.header, runs.compared, *runs.figures.values(), runs.events]
         halves = [_box("column", *half, flex="1 1 0", min_width="0") for half in (left, right)]
         roots = _box("row", *halves, height="100vh"), self._keys, self._link, self._download, self._message.source
         for root in roots:
             self._document.add_root(root)
 
     def _listen(self, link: Mapping[str, str]) -> None:
-        self._quantity.on_change("value", lambda _attribute, _old, _new: self._on_quantity())
-        self._lash.on_change("value", lambda _attribute, _old, _new: self._on_quantity())
+        for select in (self._quantity, self._lash):
+            select.on_change("value", lambda _attribute, _old, _new: self._on_quantity())
         self._keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
         self._link.js_on_change("data", CustomJS(code=_KEEP_LINK))
         self._download.js_on_change("data", CustomJS(code=_DOWNLOAD))
@@ -172,22 +154,21 @@ class Workbench:
         self._document.js_on_event(DocumentReady, CustomJS(args={"keys": self._keys}, code=_LISTEN))
         self._document.js_on_event(ConnectionLost, CustomJS(code=_ENDED))
         # the document is the browser's by then: before, what threads ask of it would come in any order
-        self._document.on_event(DocumentReady, lambda _: self._begin(link))
-
-    def _begin(self, link: Mapping[str, str]) -> None:
-        self._restore(link)
-        self._on_change()
+        self._document.on_event(DocumentReady, lambda _: self._restore(link))
 
     # --- The link ----------------------------------------------------------------------------------------------------
 
     def _restore(self, link: Mapping[str, str]) -> None:
-        """Show what a link says; what it says of other results is left out."""
+        """Begin with what a link says; what it says of other results is left out."""
         for select in (self._quantity, self._lash):
-            known = [each if isinstance(each, str) else each[0] for each in select.options]
-            if link.get(select.name) in known:
+            if link.get(select.name) in dict(select.options):
                 select.value = link[select.name]
-        values = {name: value for name, text in link.items() if math.isfinite(value := _number(text))}
-        self._controls.set(values)
+        numbers = {}
+        for name, text in link.items():
+            with suppress(ValueError):
+                numbers[name] = float(text)
+        self._controls.set({name: number for name, number in numbers.items() if math.isfinite(number)})
+        self._on_change()
 
     def _keep_link(self) -> None:
         """Let the address of the page hold what it shows."""
@@ -214,9 +195,8 @@ class Workbench:
         """The label of a cell in the map that is shown."""
         if self._results is None:
             return ""
-        part, values = self._results.of_lash(self._lash.value), self._values(cell)
-        at = tuple(axis.nearest(values.get(axis.parameter, axis.values[0])) for axis in part.axes)
-        return str((*part.labels, FAILED)[part.sequence[at]])
+        part = self._results.of_lash(self._lash.value)
+        return str((*part.labels, FAILED)[part.sequence[position(part.axes, self._values(cell))]])
 
     def _hover(self, cell: Cell | None) -> None:
         if cell != self._hovered:
@@ -240,9 +220,8 @@ class Workbench:
         if key in _ARROWS:
             cell = []
             for axis, value, direction in zip(self._subject.plane, self._cell, _ARROWS[key], strict=False):
-                ascending = sorted(axis.values.tolist())
-                at = min(max(ascending.index(value) + direction * int(steps), 0), len(ascending) - 1)
-                cell.append(ascending[at])
+                at = np.searchsorted(values := np.sort(axis.values), value) + direction * int(steps)
+                cell.append(float(values[np.clip(at, 0, len(values) - 1)]))
             self._select(tuple(cell))
         elif key == "p":
             self._pin_run()
@@ -290,24 +269,23 @@ class Workbench:
         cell = self._cell if self._hovered is None else self._hovered
         values, numbers = self._values(cell), self._controls.numbers
 
-        def work(request: Request) -> None:
+        def work(go_on: GoOn) -> None:
             try:
                 history = self._subject.run(values, numbers)
             except ClunkError as error:
-                self._soon(partial(self._refuse_run, str(error)))
+                self._soon(partial(self._take_run, None, str(error)))
                 return
-            request.go_on()
+            go_on()
             shown = Shown(cell, values, numbers, history, self._place(values, numbers))
-            self._soon(partial(self._show_run, shown))
+            self._soon(partial(self._take_run, shown))
 
         self._newest_run.submit(work)
 
-    def _refuse_run(self, text: str) -> None:
-        self._run = None
-        self._figures.refuse(text)
-
-    def _show_run(self, shown: Shown) -> None:
+    def _take_run(self, shown: Shown | None, refusal: str = "") -> None:
+        """Show a run that has been computed, or why there is none."""
         self._run = shown
+        if shown is None:
+            self._figures.refuse(refusal)
         self._show_runs()
         self._pin_where_wanted()
 
@@ -359,12 +337,12 @@ class Workbench:
             changes["status"] = {"text": f"{status}{_HELP}"}
             self._soon(partial(self._show_map, results, changes))
 
-        def work(request: Request) -> None:
+        def work(go_on: GoOn) -> None:
             said = time.monotonic()
 
             def progress(done: int, total: int) -> None:
                 nonlocal said
-                request.go_on()
+                go_on()
                 if time.monotonic() > said + _OFTEN:
                     said = time.monotonic()
                     self._say_soon(f"computing the map: {done:,} of {total:,}")
@@ -381,7 +359,7 @@ class Workbench:
                 show(self._latest[1], status)
                 return
             for results in subject.maps(slices, numbers, lash, progress):
-                request.go_on()
+                go_on()
                 show(results, status)
             self._latest = (slices, numbers), results
 
@@ -419,14 +397,6 @@ def _box(direction: str, *elements: UIElement, **styles: str) -> Pane:
     """
     names = {name.replace("_", "-"): value for name, value in styles.items()}
     return Pane(elements=list(elements), styles={"display": "flex", "flex-direction": direction, **names})
-
-
-def _number(text: str) -> float:
-    """A number of a link; NaN of what is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _quantities(results: AnyMap) -> dict[str, str]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from clunk.analysis.marks import thresholds_of
 from clunk.core.status import Status
 from clunk.plot.maps import MOST_VALUES, default_quantities, draw
-from clunk.plot.plane import drawn_axes, surplus_axes
+from clunk.plot.plane import drawn_axes, parted_axes
 from clunk.plot.style import styled
 from clunk.results.maps import Results, ToleranceMap
 from clunk.study.records import columns_of, html_table
@@ -77,7 +77,7 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
     thresholds = thresholds_of(part)
     if part.lashes:
         yield f"<h2>{escape(lash)}</h2>"
-    surplus = surplus_axes([part.axes[index] for index in drawn_axes(part)])
+    _, surplus = parted_axes([part.axes[index] for index in drawn_axes(part)])
     facets = [axis.parameter for axis in surplus[: len(MOST_VALUES)]]
     for name in default_quantities(part, facets=facets):
         yield _svg(draw(part, name, thresholds, facets=facets), name)

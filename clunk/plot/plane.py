@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 Codes = npt.NDArray[np.int16]
 
-USUAL = ("load.ratio", "lash.backlash_deg")  # stay axes of a map where others are fixed
+_X = "load.ratio"  # from left to right wherever it is an axis
+USUAL = (_X, "lash.backlash_deg")  # stay axes of a map where others are fixed
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class View:
         swept = [drawn.axes[index] for index in keep]
         names = ", ".join(axis.parameter for axis in swept)
         if len(swept) > 2:
-            surplus = " and ".join(axis.parameter for axis in surplus_axes(swept))
+            surplus = " and ".join(axis.parameter for axis in parted_axes(swept)[1])
             raise PlotError(
                 f"These results sweep {len(swept)} axes ({names}) and a map shows two: choose one value of {surplus} "
                 "(--at), or draw a map for each (--facet)."
@@ -78,20 +79,17 @@ class View:
         return turned[np.ix_(*self.order)]
 
 
-def surplus_axes(swept: Sequence[ResultAxis]) -> list[ResultAxis]:
-    """The axes beyond the two that a map shows."""
-    return sorted(swept, key=lambda axis: axis.parameter not in USUAL)[2:]
+def parted_axes(swept: Sequence[ResultAxis]) -> tuple[list[ResultAxis], list[ResultAxis]]:
+    """The two axes that a map shows, x first, and those beyond."""
+    ranked = sorted(swept, key=lambda axis: axis.parameter not in USUAL)
+    shown = [axis for axis in swept if axis in ranked[:2]]
+    return sorted(shown, key=lambda axis: axis.parameter != _X), ranked[2:]
 
 
 def drawn_axes(drawn: Map) -> tuple[int, ...]:
-    """Indices of the axes with more than one value, x first; of the first axis if there is none.
-
-    Of two, the load ratio is x.
-    """
-    keep = tuple(index for index, axis in enumerate(drawn.axes) if len(axis.values) > 1) or (0,)
-    if len(keep) == 2 and drawn.axes[keep[1]].parameter == "load.ratio":
-        keep = keep[::-1]
-    return keep
+    """Indices of the axes with more than one value, x first; of the first axis if there is none."""
+    keep = [index for index, axis in enumerate(drawn.axes) if len(axis.values) > 1] or [0]
+    return tuple(sorted(keep, key=lambda index: drawn.axes[index].parameter != _X))
 
 
 def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
