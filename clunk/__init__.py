@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from clunk.analysis.fitted import fitted_study as fitted_study
     from clunk.analysis.fitting import fit as fit
     from clunk.analysis.optimisation import optimize as optimize
-    from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
     from clunk.analysis.sobol import sensitivity as sensitivity
     from clunk.analysis.thresholds import Thresholds as Thresholds
+    from clunk.analysis.thresholds import threshold_quantiles as threshold_quantiles
     from clunk.analysis.thresholds import thresholds as thresholds
     from clunk.api import draw as draw
     from clunk.api import run_points as run_points
@@ -92,7 +92,7 @@ _HOME = {
     "simulate": "simulation.trajectory",
     "study_from_text": "study.config",
     "sweep": "api",
-    "threshold_quantiles": "analysis.quantiles",
+    "threshold_quantiles": "analysis.thresholds",
     "thresholds": "analysis.thresholds",
     "to_dataset": "results.store",
     "tolerance_map": "api",

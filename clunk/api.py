@@ -60,8 +60,8 @@ def sweep(
         Run on the workers of this dask scheduler, ``tcp://host:8786``; or, ``local``, on processes of this machine, as
         many as `workers`.
     boundaries : bool, optional
-        Also trace the curves between the labels, of one or two axes: `Results.boundaries`. By default as the study's
-        ``[sweep] boundaries`` says, and where it is left out those of two axes are.
+        Also trace the curves between the labels, of two axes: `Results.boundaries`. By default as the study's
+        ``[sweep] boundaries`` says, and where it is left out they are.
     lash : str, optional
         Of several lashes, the one whose boundaries are traced, by name or number; by default the first.
     restart : bool

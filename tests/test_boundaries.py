@@ -15,7 +15,6 @@ import clunk
 from clunk.analysis.boundaries import BoundaryError, boundaries
 from clunk.analysis.lines import most_runs
 from clunk.analysis.network import Ring, _contains
-from clunk.analysis.thresholds import thresholds
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.study.config import study_from_text
@@ -251,16 +250,6 @@ def test_tracing_of_hard_maps_ends_and_its_regions_have_the_labels_of_runs_in_th
     assert (np.array(labels) != runs.label_map)[is_clear].sum() <= 6
 
 
-def test_one_axis_has_its_thresholds():
-    swept = study(axis("lash.backlash_deg", 0.0, 20.0, 41))
-    network = clunk.sweep(swept, boundaries=True).boundaries
-    scan = thresholds(swept, along="lash.backlash_deg")
-    assert network.vertices[:, 0].tolist() == scan.value.tolist()
-    assert [curve.right for curve in network.curves] == [scan.word(code) for code in scan.above]
-    assert network.region_area.sum() == pytest.approx(1.0)
-    assert "unknown" not in {curve.event for curve in network.curves}
-
-
 def test_a_logarithmic_axis_is_measured_in_its_logarithm():
     gap = axis("lash.backlash_deg", 1.0, 16.0, 33, 'scale = "log"\n')
     network = clunk.sweep(study(axis("load.ratio", 2.0, 8.0, 33), gap), boundaries=True).boundaries
@@ -294,6 +283,7 @@ RATIO, LASH = axis("load.ratio", 2.0, 6.0, 3), axis("lash.backlash_deg", 2.0, 6.
     ("text", "message"),
     [
         ("", "no .*sweep.axes"),
+        (axis("load.ratio", 2.0, 6.0, 3), "a map of two axes; .* clunk thresholds --along load.ratio"),
         (RATIO + axis("lash.backlash_deg", 2.0, 2.0, 1), "lash.backlash_deg has one value"),
         (RATIO + LASH + axis("driveline.inertias[4]", 0.001, 0.002, 3), "the config has 3"),
         (RATIO + axis("impacts.acceleration_of", 1.0, 3.0, 3), "whole number"),
@@ -401,21 +391,17 @@ def test_boundaries_are_traced_again_where_failed_cells_are_run_again(command, t
     assert clunk.read_results("r.h5").boundaries.areas == clunk.sweep(study(*axes), boundaries=True).boundaries.areas
 
 
-def test_a_file_of_one_axis_or_without_any_boundary_is_read_back_and_is_netcdf(command, tmp_path):
+def test_a_file_without_any_boundary_is_read_back_and_is_netcdf(command, tmp_path):
     xarray = pytest.importorskip("xarray")
-    along = axis("load.ratio", 0.0, 10.0, 21)
-    for text, values in (
-        (along, {"boundary": thresholds(study(along), along="load.ratio").value.size}),
-        (axis("load.ratio", 0.0, 1.0, 5) + axis("lash.backlash_deg", 5.0, 9.0, 5), {"boundary": 0, "region": 1}),
-    ):
-        (tmp_path / "c.toml").write_text(NOMINAL + text, encoding="utf-8")
-        assert command("sweep", "c.toml", "--set", EXACT, "--boundaries", "--force", "-o", "r.h5")[0] == 0
-        traced = clunk.read_results("r.h5").boundaries
-        sizes = xarray.load_dataset("r.h5", engine="h5netcdf").sizes
-        assert {name: sizes[name] for name in values} == values
-        assert len(traced.curves) == values["boundary"]
-        assert command("info", "r.h5")[0] == 0
-        traced.geojson()
+    text = NOMINAL + axis("load.ratio", 0.0, 1.0, 5) + axis("lash.backlash_deg", 5.0, 9.0, 5)
+    (tmp_path / "c.toml").write_text(text, encoding="utf-8")
+    assert command("sweep", "c.toml", "--set", EXACT, "-o", "r.h5")[0] == 0
+    traced = clunk.read_results("r.h5").boundaries
+    sizes = xarray.load_dataset("r.h5", engine="h5netcdf").sizes
+    assert (sizes["boundary"], sizes["region"]) == (0, 1)
+    assert not traced.curves
+    assert command("info", "r.h5")[0] == 0
+    assert [each["geometry"]["type"] for each in traced.geojson()["features"]] == ["Polygon"]
 
 
 def test_a_damaged_network_is_no_network(coarse):
@@ -454,15 +440,3 @@ def test_failed_regions_are_filled_and_a_slice_has_no_boundaries():
     (ax,) = clunk.draw(results).axes[:1]
     assert [patch for patch in ax.patches if patch.get_gid() == "region failed"]
     assert results.at({"load.ratio": 4.0}).boundaries is None
-
-
-def test_strips_print_the_values_at_which_the_label_changes():
-    results = clunk.sweep(study(axis("load.ratio", 0.0, 10.0, 41)), boundaries=True)
-    band, curve = clunk.draw(results).axes[:2]
-    (legend,) = band.get_figure(root=True).legends
-    note = legend.get_texts()[-1].get_text()
-    assert "1.432442" in note
-    values = results.boundaries.vertices[:, 0]
-    assert note == f"the label changes at {', '.join(f'{value:.7g}' for value in values)}"
-    drawn = np.concatenate([line.get_xdata() for line in curve.lines if len(line.get_xdata()) != 2])
-    assert set(results.axes[0].values.tolist()) >= set(drawn.tolist())

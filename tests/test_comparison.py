@@ -23,10 +23,11 @@ from clunk.analysis.measurements import (
     CAVEAT,
     TABLES,
     Experiment,
+    ExperimentComparison,
     Measurement,
+    compare_experiment,
     read_experiment,
 )
-from clunk.analysis.trends import ExperimentComparison, compare_experiment
 from clunk.plot import PlotError
 from clunk.plot.analyses import difference_map, experiment_map
 from clunk.results.labels import normalised_label

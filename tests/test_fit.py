@@ -10,9 +10,8 @@ from click.testing import CliRunner
 
 import clunk
 from clunk.analysis import fitting
-from clunk.analysis.fitruns import MATCH, label_of, losses, outlier_misfit
-from clunk.analysis.fitted import effective_size, fitted_study, order_of_events, weights_of
-from clunk.analysis.fitting import sample
+from clunk.analysis.fitted import effective_size, fitted_study, label_of, losses, order_of_events, weights_of
+from clunk.analysis.fitting import MATCH, outlier_misfit, sample
 from clunk.analysis.measurements import Experiment, experiment_of
 from clunk.api import run_points, sweep, tolerance_map
 from clunk.cli import cli

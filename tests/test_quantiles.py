@@ -9,8 +9,7 @@ import pytest
 from test_thresholds import DURATION, LASH, NOMINAL, RAMP, axis
 
 import clunk as clunk_api
-from clunk.analysis.quantiles import threshold_quantiles
-from clunk.analysis.thresholds import thresholds
+from clunk.analysis.thresholds import threshold_quantiles, thresholds
 from clunk.plot.analyses import threshold_figure
 from clunk.plot.style import PlotError
 from clunk.results.quantities import quantity_of

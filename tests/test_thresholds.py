@@ -186,8 +186,8 @@ def test_a_bracket_of_noise_is_given_up_and_another_beside_it_is_not():
         points["measure"] = points["outcome"] - 0.5
         return points
 
-    ends = np.zeros((2, 4), POINT)
-    ends["cell"], ends["value"], ends["outcome"] = np.array([[0], [1]]), [0.0, 0.0, 1.0, 1.0], [0, 0, 1, 1]
+    ends = np.zeros((2, 2), POINT)
+    ends["cell"], ends["value"], ends["outcome"] = np.array([[0], [1]]), [0.0, 1.0], [0, 1]
     ends["measure"] = ends["outcome"] - 0.5
     low, high = narrow(ends, run, most=8)
     wide, sharp = low["cell"] == 0, low["cell"] == 1
@@ -256,7 +256,7 @@ def test_what_never_changes_is_said_and_no_error(command):
     [
         (["-o", "t.txt"], 2, "must end in .csv, .json, .png, .svg, .pdf"),
         (["-o", "t.png"], 2, "no other axis to draw thresholds over"),
-        (["--at", "load.ratio=5"], 2, "--at is for the axes other than load.ratio"),
+        (["--at", "load.ratio=5"], 2, "load.ratio is not swept; swept: nothing"),
         (["--of", "Q<=8000"], 2, "did you mean severity?"),
         (["--set", "solver.max_events=8"], 3, "runs failed: more events than solver.max_events allows"),
     ],
@@ -265,15 +265,6 @@ def test_the_command_tells_what_it_cannot_do(command, arguments, code, message):
     stopped, _, err = command(RATIO, "--along", "load.ratio", *arguments)
     assert stopped == code
     assert message in " ".join(err.split())
-
-
-@pytest.mark.parametrize(("final", "says"), [(1.0, True), (-1.0, False)])
-def test_a_torque_that_reverses_is_noted_where_double_sided_impacts_are_asked_for(command, final, says):
-    torques = ("--set", "load.initial_torque=-6.0", "--set", f"load.final_torque={final}")
-    _, _, err = command(
-        axis("lash.backlash_deg", 4.0, 6.0, 2), "--along", "lash.backlash_deg", "--of", "double_sided", *torques
-    )
-    assert ("the torque reverses" in err) == says
 
 
 def test_pictures_have_a_curve_for_each_threshold():

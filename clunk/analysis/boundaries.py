@@ -1,8 +1,7 @@
-"""The boundary network of a regime map over one or two axes: which labels meet where, to 1e-9 of each axis.
+"""The boundary network of a regime map over two axes: which labels meet where, to 1e-9 of each axis.
 
-Of two axes, lines are traced (`clunk.analysis.lines`), linked to curves and closed to regions
-(`clunk.analysis.network`), and each curve gets its event (`clunk.analysis.boundaryevents`). Of one axis, they are its
-thresholds (`clunk.analysis.thresholds`).
+Lines are traced (`clunk.analysis.lines`), linked to curves and closed to regions (`clunk.analysis.network`), and each
+curve gets its event (`events_between`).
 """
 
 from __future__ import annotations
@@ -14,16 +13,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.boundaryevents import events_between
 from clunk.analysis.lines import Lines, Triangles
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
-from clunk.analysis.pointruns import PointRuns
-from clunk.analysis.search import POINT
-from clunk.analysis.thresholds import thresholds
-from clunk.results.boundaries import NO_LABEL, Boundaries
+from clunk.analysis.search import POINT, PointRuns
+from clunk.core.events import STAGE, TOUCH
+from clunk.core.status import Status
+from clunk.results.boundaries import (
+    END_TIME,
+    INITIAL_FLANK,
+    NO_LABEL,
+    OPPOSITE_FLANK,
+    STICKING_ENDS,
+    STICKING_TIME,
+    UNKNOWN,
+    Boundaries,
+)
 from clunk.results.maps import AnyMap, Results
 from clunk.results.quantities import LABEL, OF_RUNS
-from clunk.study.arrays import Floats
+from clunk.study.arrays import Codes, Floats, Records
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, has_tolerances
 from clunk.study.errors import ClunkError
@@ -35,6 +42,9 @@ from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
 RUNS_OF_BOUNDARIES = "runs along the boundaries"  # of which progress tells
+_AT_ONCE = 200  # pairs of runs whose events are kept at a time
+_AT_END = 1e-6  # of the end time
+_SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
 
 class BoundaryError(ClunkError):
@@ -53,8 +63,13 @@ def require_boundaries(study: Study) -> None:
             "samples have no neighbours" if swept.samples else 'axes that are walked together (design = "zip") do not'
         )
         raise BoundaryError(f"Boundaries are traced on a grid of axes; {reason}.")
+    if len(axes) == 1:
+        raise BoundaryError(
+            "Boundaries are lines on a map of two axes; the values of one axis at which its label changes are found by "
+            f"clunk thresholds --along {axes[0].parameter}."
+        )
     if len(axes) > 2:
-        raise BoundaryError(f"Boundaries are traced on maps of one or two axes, and the config has {len(axes)}.")
+        raise BoundaryError(f"Boundaries are traced on maps of two axes, and the config has {len(axes)}.")
     for axis in axes:
         if len(axis.values) < 2:
             raise BoundaryError(f"{axis.parameter} has one value; boundaries lie between two or more.")
@@ -67,20 +82,19 @@ def require_boundaries(study: Study) -> None:
 def is_traced(study: Study, asked: bool | None = None) -> bool:
     """Whether a sweep of a study traces the boundaries of its map.
 
-    It does as asked, else as ``[sweep] boundaries`` says, and without either on two axes whose map has boundaries.
-    Raises BoundaryError where they are asked for and the map has none.
+    It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises
+    BoundaryError where they are asked for and the map has none.
     """
     if asked is None and study.sweep is not None:
         asked = study.sweep.boundaries
-    if asked is False or (asked is None and len(design_of(study).axes) != 2):
-        return False
     try:
-        require_boundaries(study)
+        if asked is not False:
+            require_boundaries(study)
     except BoundaryError:
         if asked:
             raise
         return False
-    return True
+    return asked is not False
 
 
 def boundaries(
@@ -114,8 +128,48 @@ def boundaries(
     """
     require_boundaries(study)
     position, part = lash_position(lash, results.lash_names), results.of_lash(lash)
-    traced = (_of_axis if len(part.axes) == 1 else _of_plane)(study, part, position, workers, progress)
-    return replace(traced, lash=results.lashes[position]) if results.lashes else traced
+    scales = [_Scale(axis) for axis in part.axes]
+    ascending = np.ix_(*(scale.order for scale in scales))
+
+    def values_at(places: Floats) -> Floats:
+        return np.column_stack([scale.values(places[:, k]) for k, scale in enumerate(scales)])
+
+    with engine_of(None, workers) as engine:
+        keys = [axis.parameter for axis in part.axes]
+        point_runs = PointRuns(study, keys, OF_RUNS[LABEL], position, engine, words=part.labels, progress=progress)
+        across, upward = (scale.shares(axis.values[scale.order]) for scale, axis in zip(scales, part.axes, strict=True))
+        nodes = np.zeros(part.sequence.shape, POINT)
+        nodes["outcome"], nodes["measure"] = part.sequence[ascending], part.margin[ascending]
+        nodes["touches"] = part.touches[ascending]
+        triangles = Triangles(across, upward, nodes)
+        lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost)
+        lines.trace()
+        paths = paths_of(*lines.segments(), lines.position)
+        regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
+        paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
+        crossings = [[node for node in path.nodes if node >= 0] for path in paths]
+        below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
+        events = events_between(point_runs.runner, position, values_at(below), values_at(above))
+    junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
+    rings = [ring for region in regions for ring in region]
+    return Boundaries(
+        lash=results.lashes[position] if results.lashes else "",
+        axes=part.axes,
+        labels=tuple(map(str, point_runs.words)),
+        vertices=values_at(np.concatenate([np.zeros((0, 2)), *(path.vertices for path in paths)])),
+        curve_counts=np.array([len(path.vertices) for path in paths], np.int32),
+        curve_left=np.array([path.left for path in paths], np.int16),
+        curve_right=np.array([path.right for path in paths], np.int16),
+        curve_event=events.astype(np.int8),
+        junctions=values_at(junctions),
+        junction_labels=_filled(junction_labels),
+        ring_vertices=values_at(np.concatenate([ring.vertices for ring in rings])),
+        ring_counts=np.array([len(ring.vertices) for ring in rings], np.int32),
+        region_rings=np.array([len(region) for region in regions], np.int32),
+        region_label=np.array([region[0].label for region in regions], np.int16),
+        region_area=np.array([sum(ring.area for ring in region) for region in regions]),
+        unresolved=values_at(_one_of_each_cell(lines.unresolved, across, upward)),
+    )
 
 
 def with_boundaries(
@@ -156,59 +210,6 @@ class _Scale:
         return values
 
 
-def _of_plane(study: Study, results: Results, lash: int, workers: int | None, progress: Progress | None) -> Boundaries:
-    scales = [_Scale(axis) for axis in results.axes]
-    ascending = np.ix_(*(scale.order for scale in scales))
-
-    def values_at(places: Floats) -> Floats:
-        return np.column_stack([scale.values(places[:, k]) for k, scale in enumerate(scales)])
-
-    with engine_of(None, workers) as engine:
-        point_runs = PointRuns(
-            study,
-            [axis.parameter for axis in results.axes],
-            OF_RUNS[LABEL],
-            lash,
-            engine,
-            words=results.labels,
-            progress=progress,
-        )
-        across, upward = (
-            scale.shares(axis.values[scale.order]) for scale, axis in zip(scales, results.axes, strict=True)
-        )
-        nodes = np.zeros(results.sequence.shape, POINT)
-        nodes["outcome"], nodes["measure"] = results.sequence[ascending], results.margin[ascending]
-        nodes["touches"] = results.touches[ascending]
-        triangles = Triangles(across, upward, nodes)
-        lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost)
-        lines.trace()
-        paths = paths_of(*lines.segments(), lines.position)
-        regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
-        paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
-        crossings = [[node for node in path.nodes if node >= 0] for path in paths]
-        below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
-        events = events_between(point_runs.runner, lash, values_at(below), values_at(above))
-    junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
-    rings = [ring for region in regions for ring in region]
-    return Boundaries(
-        axes=results.axes,
-        labels=tuple(map(str, point_runs.words)),
-        vertices=values_at(np.concatenate([np.zeros((0, 2)), *(path.vertices for path in paths)])),
-        curve_counts=np.array([len(path.vertices) for path in paths], np.int32),
-        curve_left=np.array([path.left for path in paths], np.int16),
-        curve_right=np.array([path.right for path in paths], np.int16),
-        curve_event=events.astype(np.int8),
-        junctions=values_at(junctions),
-        junction_labels=_filled(junction_labels),
-        ring_vertices=values_at(np.concatenate([ring.vertices for ring in rings])),
-        ring_counts=np.array([len(ring.vertices) for ring in rings], np.int32),
-        region_rings=np.array([len(region) for region in regions], np.int32),
-        region_label=np.array([region[0].label for region in regions], np.int16),
-        region_area=np.array([sum(ring.area for ring in region) for region in regions]),
-        unresolved=values_at(_one_of_each_cell(lines.unresolved, across, upward)),
-    )
-
-
 def _one_of_each_cell(places: Floats, across: Floats, upward: Floats) -> Floats:
     """The first of the places (n, 2) within each cell of a map, in the order of the cells."""
     cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
@@ -222,34 +223,47 @@ def _filled(labels: list[list[int]]) -> npt.NDArray[np.int16]:
     return np.array([codes + [NO_LABEL] * (width - len(codes)) for codes in labels], np.int16).reshape(-1, width)
 
 
-def _of_axis(study: Study, results: Results, lash: int, workers: int | None, progress: Progress | None) -> Boundaries:
-    """The boundaries along one axis: single values, and intervals between them."""
-    (axis,) = results.axes
-    scan = thresholds(study, along=axis.parameter, lash=str(lash + 1), workers=workers, progress=progress or False)
-    words = [word for word in scan.words if word not in results.labels]
-    labels = (*results.labels, *map(str, words))
-    number = np.array([*(labels.index(str(word)) for word in scan.words), -1], np.int16)
-    scale = _Scale(axis)
-    codes = number[np.concatenate([scan.lowest, scan.above])]
-    edges = np.concatenate([[scale.lowest], scan.value, [scale.highest]])
-    count, aside = scan.value.size, 1e-9 * (scale.highest - scale.lowest)
-    runner = Runner(study, [axis.parameter])
-    below, above = np.maximum(scan.value - aside, scale.lowest)[:, None], scan.value[:, None] + aside
-    events = events_between(runner, lash, below, above)
-    return Boundaries(
-        axes=results.axes,
-        labels=labels,
-        vertices=scan.value[:, None],
-        curve_counts=np.ones(count, np.int32),
-        curve_left=number[scan.below],
-        curve_right=number[scan.above],
-        curve_event=events.astype(np.int8),
-        junctions=np.zeros((0, 2)),
-        junction_labels=_filled([]),
-        ring_vertices=np.column_stack([edges[:-1], edges[1:]]).reshape(-1, 1),
-        ring_counts=np.full(count + 1, 2, np.int32),
-        region_rings=np.ones(count + 1, np.int32),
-        region_label=codes,
-        region_area=np.diff(scale.shares(edges)),
-        unresolved=np.array([0.5 * (begin + end) for _, begin, end in scan.unresolved]).reshape(-1, 1),
+def events_between(runner: Runner, lash: int, one: Floats, other: Floats) -> Codes:
+    """First event that only one run of each pair of points has, which makes their labels differ: (n,) of `EVENTS`.
+
+    A touch is a grazing of its flank, another event is where a contact that held ended. With the same events, a contact
+    has held for the sticking time in one run only.
+
+    lash : position of the one whose labels differ
+    one, other : the points, (n, keys of the runner)
+    """
+    events = [np.zeros(0, np.int64)]
+    for begin in range(0, len(one), _AT_ONCE):
+        points = np.stack([part[begin : begin + _AT_ONCE] for part in (one, other)], axis=1).reshape(-1, one.shape[1])
+        records, logs = runner.grid.logged(dict(zip(runner.keys, points.T, strict=True)), len(points))
+        pairs = records[:, lash].reshape(-1, 2), logs.reshape(len(points) // 2, 2, -1)
+        events.append(_differences(*pairs, runner.study.solver.end_time, lash))
+    return np.concatenate(events)
+
+
+def _differences(records: Records, logs: Records, end_time: float, lash: int) -> Codes:
+    """First event of a lash that only one of two runs has, from their CELL (n, 2) and EVENT (n, 2, events)."""
+    sides = np.where(records["status"] == Status.OK, records["initial_side"], 0)
+    # neither a change of a shaft's stage nor an event of another lash makes a label
+    times = np.where((logs["kind"] == STAGE) | ((logs["lash"] >= 0) & (logs["lash"] != lash)), np.nan, logs["time"])
+    order = np.argsort(np.isnan(times), axis=2, kind="stable")
+    logs, times = np.take_along_axis(logs, order, 2), np.take_along_axis(times, order, 2)
+    is_event = ~np.isnan(times)
+    differ = np.abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
+    for name in ("kind", "side"):
+        differ |= logs[name][:, 0] != logs[name][:, 1]
+    differ |= ~is_event.all(axis=1)  # behind the last event of one
+    first = np.argmax(differ, axis=1)
+    times = np.where(is_event, times, np.inf)[np.arange(len(logs)), :, first]
+    events = logs[np.arange(len(logs)), np.argmin(times, axis=1), first]
+    return np.select(
+        [
+            (sides[:, 0] == 0) | (sides[:, 0] != sides[:, 1]),
+            ~differ.any(axis=1) | ~np.isfinite(times).any(axis=1),
+            times.min(axis=1) > (1.0 - _AT_END) * end_time,
+            events["kind"] != TOUCH,
+            events["side"] == sides[:, 0],
+        ],
+        [UNKNOWN, STICKING_TIME, END_TIME, STICKING_ENDS, INITIAL_FLANK],
+        OPPOSITE_FLANK,
     )

@@ -72,7 +72,6 @@ class Difference(Record):
     unit : of the quantity and of the difference
     over_largest : the difference over B's largest value
     at : the cell that has the difference
-    touches : of that cell; where A and B have not as many, one of them may have lost a weak rebound
     """
 
     quantity: str = told("quantity")
@@ -80,7 +79,6 @@ class Difference(Record):
     unit: str = told("unit")
     over_largest: float = told("over largest", form=".1e")
     at: dict[str, float | str] = told("at")
-    touches: dict[str, int] = told()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -224,7 +222,9 @@ def compare(a: Results, b: Results) -> Comparison:
     _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
-    codes_a, codes_b = (codes_among(results, labels) for results in (a, b))
+    # of each map's codes those among all labels; the code of a failed cell, -1, takes the last entry
+    among = (np.array([*map(labels.index, each.labels), FAILED_CODE], np.intp) for each in (a, b))
+    codes_a, codes_b = (codes[each.sequence] for codes, each in zip(among, (a, b), strict=True))
     equal = (codes_a == codes_b) & (codes_a != FAILED_CODE)
     identical = _bits(a) == _bits(b)
     return Comparison(
@@ -305,37 +305,25 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
             )
 
 
-def codes_among(results: Results, labels: tuple[str, ...]) -> Positions:
-    """Codes of the cells' labels among other labels, in the shape of the map; -1 of failed cells."""
-    # the code of a failed cell, -1, takes the last entry
-    code = np.array([*(labels.index(label) for label in results.labels), FAILED_CODE], np.intp)
-    codes: Positions = code[results.sequence]
-    return codes
-
-
 def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Difference]:
     """Those over the cells with equal labels, whose primary impacts correspond one to one."""
     for name in ("impact_time", "last_event_time", "severity", "impact_severity", "approach_velocity"):
-        of_impacts = name in IMPACT_QUANTITIES
+        counts = [each.primary_impacts.ravel() if name in IMPACT_QUANTITIES else 1 for each in (a, b)]
         # the cell of each value; with equal labels both maps have as many values in it
-        cells_a, cells_b = (
-            np.repeat(np.arange(equal.size), each.primary_impacts.ravel() if of_impacts else 1) for each in (a, b)
-        )
-        all_values, is_equal = b.values(name).ravel(), equal.ravel()
-        mine, theirs = a.values(name).ravel()[is_equal[cells_a]], all_values[is_equal[cells_b]]
-        defined = np.isfinite(mine) & np.isfinite(theirs)
-        if not defined.any():
+        cells = [np.repeat(np.arange(equal.size), count) for count in counts]
+        compared = [equal.ravel()[each] for each in cells]
+        one, other = (each.values(name).ravel()[rows] for each, rows in zip((a, b), compared, strict=True))
+        difference = np.abs(one - other)
+        if np.isnan(difference).all():
             continue
-        difference = np.abs(mine - theirs)[defined]
-        largest, k = float(np.nanmax(np.abs(all_values))), int(difference.argmax())
-        at = np.unravel_index(cells_b[is_equal[cells_b]][defined][k], b.shape)
+        k, largest = int(np.nanargmax(difference)), float(np.nanmax(np.abs(b.values(name))))
+        at = np.unravel_index(cells[1][compared[1]][k], b.shape)
         yield Difference(
             quantity=name,
             difference=float(difference[k]),
             unit=REGIME_QUANTITIES[name].unit_symbol,
             over_largest=float(difference[k]) / largest if largest > 0.0 else 0.0,
             at=at_cell(b.parameters, values_at(b.axes, at, b.coordinates)),
-            touches={"a": int(a.touches[at]), "b": int(b.touches[at])},
         )
 
 

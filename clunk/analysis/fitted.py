@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.fitruns import label_of, losses
 from clunk.analysis.measurements import Experiment
-from clunk.core.sequence import INITIAL
-from clunk.results.labels import flanks_of_label
+from clunk.core.sequence import INITIAL, label
+from clunk.results.labels import FAILED, flanks_of_label
 from clunk.results.maps import Results
-from clunk.study.arrays import Floats, Patterns, Positions, Records
+from clunk.study.arrays import Bools, Floats, Patterns, Positions, Records
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
@@ -35,6 +34,7 @@ from clunk.sweeping.reduction import flanks_of
 from clunk.sweeping.sweep import sweep
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
+_PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
 _SEED = 2  # of the draws that become tolerances, beside the fit's
 _COUNT = 81  # values of a map's axis
 _BEYOND = 0.15  # of the measured span, on either side of it
@@ -304,6 +304,30 @@ def weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float])
 # --- Weights and predictions ------------------------------------------------------------------------------------------
 
 
+def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = slice(None)) -> Floats:
+    """Minus the logarithm of candidates' likelihood, up to a constant.
+
+    A label that is not met costs its distance over the scatter. Besides, labels are wrong with a probability that is
+    not known: its beta distribution is integrated over, so that one miss more costs much where few labels are missed
+    and little where many are.
+
+    Parameters
+    ----------
+    matches : (n, points) MATCH
+    wanted : (points,) uint64, patterns of the measured labels
+    rows : of the measurements that count
+    """
+    from scipy.special import betaln
+
+    matches, wanted = matches[:, rows], wanted[rows]
+    missed = matches["pattern"] != wanted
+    misses, count = missed.sum(axis=1), matches.shape[1]
+    wrong, right = _PRIOR_WEIGHT * fit.wrong_labels, _PRIOR_WEIGHT * (1.0 - fit.wrong_labels)
+    of_labels = betaln(wrong, count + right) - betaln(misses + wrong, count - misses + right)
+    of_distances = np.where(missed, matches["distance"], 0.0).sum(axis=1) / fit.scatter
+    return np.asarray(of_labels + of_distances + matches["misfit"].sum(axis=1))
+
+
 def weights_of(losses: Floats, log_density: Floats) -> Floats:
     """Weights of draws, which add up to 1."""
     exponents = -losses - log_density
@@ -314,6 +338,11 @@ def weights_of(losses: Floats, log_density: Floats) -> Floats:
 def effective_size(weights: Floats) -> float:
     """Number of equally weighted draws that would be as good."""
     return float(1.0 / (weights**2).sum())
+
+
+def label_of(pattern: int) -> str:
+    """Label of a pattern."""
+    return label(flanks_of(pattern)) if pattern else FAILED
 
 
 def probabilities(patterns: Patterns, weights: Floats) -> dict[str, float]:

@@ -8,28 +8,224 @@ draws picked by their weights, and by the prior for a share, so that no region i
 mixture of all proposals as their density (deterministic mixture weights, Owen & Zhou 2000, doi:10.1080/01621459.2000.
 10473909; adapted as by Cornuet et al. 2012, doi:10.1111/j.1467-9469.2011.00756.x). While few draws count, the kernels
 follow a likelihood that is flattened until enough do.
+
+A candidate that misses a measured label is run at neighbouring operating points too, where one measured value is a
+little smaller or greater. The least such change, in its logarithm, that brings about the measured label is its
+distance: unlike a run's margin, which says how near *any* other label is, and saturates, it speaks of the measured one.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from difflib import SequenceMatcher
 from itertools import product
 
 import numpy as np
 
-from clunk.analysis.fitruns import Candidates, axes_of, losses
-from clunk.analysis.fitted import Fitted, effective_size, weights_of
+from clunk.analysis.fitted import Fitted, effective_size, losses, weights_of
 from clunk.analysis.measurements import Experiment, read_experiment
-from clunk.study.arrays import Floats
+from clunk.core.sequence import OPPOSITE
+from clunk.core.status import Status
+from clunk.core.tile import LONGEST_PATTERN
+from clunk.results.labels import flanks_of_label
+from clunk.results.quantities import measuring
+from clunk.study.arrays import Array, Floats, Patterns, Positions, Records
+from clunk.study.axes import variable_of
+from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
 from clunk.study.models import lash_position
-from clunk.study.parameters import located, nominal_value
+from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.rules import load_complaint
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.reduction import flanks_of
+from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
+
+# A candidate's run at a measured operating point: the flanks as bits behind a leading 1 (0: failed), the distance to
+# the measured label, the number of the measured value and the signed change of its logarithm that bring this about (0:
+# none does), and the misfit of the impacts' measured quantities.
+MATCH = np.dtype([("pattern", "u8"), ("distance", "f8"), ("axis", "i8"), ("change", "f8"), ("misfit", "f8")])
+
+_CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, either way
+_TOGETHER = 40_000  # measured values of candidates that are run together, each with all of its changes
+_OUTLIERS = 0.02  # share of measured quantities that are far off
+_OUTLIER_SCALE = 10.0  # of these, in standard deviations
+
+
+class Candidates:
+    """Runs of candidates for the numbers of a fit's d priors, at the n operating points of an experiment.
+
+    study : Study, with [fit]
+    experiment : Experiment
+    lash : name of the one that was measured
+    engine : of threads
+    progress : called with the number of candidates so far, and the most that there can be
+    axes : dotted keys of the measured columns
+    points : (n, axes) measured values
+    wanted : (n,) patterns of the measured labels
+    coordinates, matches : (N, d), in which the priors are standard normal, and (N, n) MATCH, of all candidates so far
+    """
+
+    def __init__(
+        self, study: Study, experiment: Experiment, lash: str, engine: Executor, progress: Progress | None = None
+    ) -> None:
+        assert study.fit is not None
+        self.study, self.fit, self.priors = study, study.fit, study.fit.parameters
+        self.experiment, self.lash, self._engine, self._progress = experiment, lash, engine, progress
+        self.axes = axes_of(study, experiment)
+        self.points = np.array([each.values for each in experiment.measurements])
+        self.wanted = np.array([pattern_of(each.label) for each in experiment.measurements], np.uint64)
+        self.coordinates = np.zeros((0, len(self.priors)))
+        self.matches = np.zeros((0, len(self.points)), MATCH)
+        self._flanks = [flanks_of_label(each.label) for each in experiment.measurements]
+        self._speeds = np.array([each.detection_speed for each in experiment.measurements])
+
+    def __call__(self, coordinates: Floats) -> Floats:
+        """Run candidates, (n, d) in coordinates; returns their losses, (n,)."""
+        matches = self.run(self.numbers(coordinates))
+        self.coordinates = np.concatenate([self.coordinates, coordinates])
+        self.matches = np.concatenate([self.matches, matches])
+        if self._progress is not None:
+            self._progress(len(self.matches), max(len(self.matches), self.fit.candidates + self.fit.draws))
+        return losses(matches, self.wanted, self.fit)
+
+    def numbers(self, coordinates: Floats) -> Floats:
+        """Values, factors and offsets, (n, d), at coordinates in which the priors are standard normal."""
+        from scipy.stats import norm
+
+        columns = zip(self.priors, norm.cdf(coordinates.T), strict=True)
+        return np.stack([prior.quantiles(u, nominal_value(self.study, prior.parameter)) for prior, u in columns], 1)
+
+    def values(self, numbers: Floats, measured: Floats) -> dict[str, Floats]:
+        """Values of every parameter, (n,) each, by candidates' numbers, (n, d), at measured values, (n, axes)."""
+        values = dict(zip(self.axes, measured.T, strict=True))
+        for prior, column in zip(self.priors, numbers.T, strict=True):
+            before = values.get(prior.parameter, nominal_value(self.study, prior.parameter))
+            values[prior.parameter] = prior.applied(column, before)
+        return values
+
+    def run(self, numbers: Floats) -> Records:
+        """Run candidates, (n, d), at all operating points; returns MATCH, (n, points)."""
+        together = max(1, _TOGETHER // self.points.size)
+        return np.concatenate([self._run_some(numbers[k : k + together]) for k in range(0, len(numbers), together)])
+
+    def _run_some(self, numbers: Floats) -> Records:
+        """Run as many candidates as there is memory for."""
+        study = measuring(self.study, ())
+        keys = dict.fromkeys([*self.axes, *(prior.parameter for prior in self.priors)])
+        runner = Runner(study, [*keys], engine=self._engine)  # new: there are too many drivelines to keep
+        matches = np.zeros((len(numbers), len(self.points)), MATCH)
+        flat, (candidate, point) = matches.reshape(-1), np.indices(matches.shape).reshape(2, -1)
+        flat["pattern"], impacts = self._run(runner, numbers[candidate], point, self.points[point])
+        flat["misfit"] = self._misfits(point, flat["pattern"], impacts)
+        missed = np.flatnonzero(flat["pattern"] != self.wanted[point])
+        if missed.size:
+            flat[missed] = self._look_around(runner, flat[missed], numbers[candidate[missed]], point[missed])
+        return matches
+
+    def _look_around(self, runner: Runner, matches: Records, numbers: Floats, point: Positions) -> Records:
+        """Matches of runs that missed the measured label, with their distance from it."""
+        steps = np.outer([-1.0, 1.0], _CHANGES).ravel()
+        changes = np.vstack([step * axis for axis in np.eye(len(self.axes)) for step in steps])  # (m, axes)
+        at = np.repeat(point, len(changes))
+        measured = self.points[at] * np.exp(np.tile(changes, (point.size, 1)))
+        patterns, _ = self._run(runner, np.repeat(numbers, len(changes), axis=0), at, measured)
+        edits = self._edits(at, patterns).reshape(point.size, -1)
+        sizes = np.abs(changes).sum(axis=1)
+        distances = np.where(edits == 0.0, sizes, _CHANGES[-1] + edits)  # no change does: impacts too many or too few
+        nearest = distances.argmin(axis=1)
+        matches["distance"], matches["axis"] = distances.min(axis=1), nearest // steps.size
+        met = edits[np.arange(point.size), nearest] == 0.0
+        matches["change"] = np.where(met, changes.sum(axis=1)[nearest], 0.0)
+        return matches
+
+    def _run(
+        self, runner: Runner, numbers: Floats, point: Positions, measured: Floats
+    ) -> tuple[Patterns, dict[str, Array]]:
+        """Patterns of runs, (m,), and the numbers of their run and measured quantities of all impacts that are seen.
+
+        numbers : (m, d) of the candidates
+        point : (m,) numbers of the operating points
+        measured : (m, axes)
+        """
+        values = self.values(numbers, measured)
+        for key in self.axes:  # a change may leave its range, together with an offset
+            allowed = key_at(located(self.study, key)[0])
+            assert allowed is not None
+            least = np.nextafter(allowed.lowest, np.inf) if allowed.above else allowed.lowest
+            values[key] = np.clip(values[key], least, allowed.highest)
+        results = runner(runner.values(values)).of_lash(self.lash)
+        row = np.repeat(np.arange(point.size), results.primary_impacts)
+        seen = results.impact_closing_speed >= self._speeds[point[row]]
+        row, is_opposite = row[seen], results.impact_flank[seen] == OPPOSITE
+        counts = np.bincount(row, minlength=point.size)
+        behind = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(row.size)  # impacts of the run behind each
+        patterns = np.uint64(1) << np.minimum(counts, LONGEST_PATTERN).astype(np.uint64)
+        np.add.at(patterns, row, is_opposite.astype(np.uint64) << np.minimum(behind, 63).astype(np.uint64))
+        patterns[(results.status != Status.OK) | (counts > LONGEST_PATTERN)] = 0
+        names = {name for each in self.experiment.measurements for name in each.impacts}
+        return patterns, {"run": row} | {name: results.values(name)[seen] for name in names}
+
+    def _misfits(self, point: Positions, patterns: Patterns, impacts: dict[str, Array]) -> Floats:
+        """Misfit of the impacts' quantities in runs: minus the logarithm of their relative likelihood."""
+        misfits = np.zeros(point.size)
+        first = np.searchsorted(impacts["run"], np.arange(point.size))
+        for at, measurement in enumerate(self.experiment.measurements):
+            for pattern in np.unique(patterns[point == at]).tolist() if measurement.impacts else ():
+                runs = np.flatnonzero((point == at) & (patterns == pattern))
+                partner = partners(self._flanks[at], flanks_of(pattern))
+                for name, measured in measurement.impacts.items():
+                    for number, value in measured.items():
+                        computed = impacts[name][first[runs] + partner[number]] if number in partner else 0.0
+                        misfits[runs] += outlier_misfit((value - computed) / measurement.std[name])
+        return misfits
+
+    def _edits(self, point: Positions, patterns: Patterns) -> Floats:
+        """Number of impacts too many or too few of patterns at some points; of a failed run, of all."""
+        pairs, inverse = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
+        sequences = [(self._flanks[at], flanks_of(pattern)) for at, pattern in pairs.T.tolist()]
+        edits = [len(a) + len(b) - 2.0 * len(partners(a, b)) for a, b in sequences]
+        return np.array(edits)[inverse.reshape(-1)]
+
+
+def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
+    """Dotted keys of the measured columns. Raises ClunkError where the study has no such parameter."""
+    known = {variable_of(name): name for name in parameters(study.model_dump(exclude_none=True))}
+    for column in experiment.columns:
+        if column not in known:
+            raise ClunkError(f"The column {column} of {experiment.name} is no parameter of this config.")
+    return tuple(dotted(located(study, known[column])[0]) for column in experiment.columns)
+
+
+def pattern_of(label: str) -> int:
+    """Pattern of a label: its flanks as bits behind a leading 1. Raises ClunkError where it has too many."""
+    flanks = flanks_of_label(label)
+    if len(flanks) > LONGEST_PATTERN:
+        raise ClunkError(f"{label} has {len(flanks)} primary impacts; at most {LONGEST_PATTERN} can be fitted.")
+    return int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in flanks), 2)
+
+
+def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]:
+    """Impacts of two sequences that correspond: number of the measured -> number of the computed one."""
+    blocks = SequenceMatcher(None, measured, computed, autojunk=False).get_matching_blocks()
+    return {a + k: b + k for a, b, size in blocks for k in range(size)}
+
+
+def outlier_misfit(deviation: Floats | float) -> Floats:
+    """Minus the logarithm of a normal density with a few outliers, less that at 0; deviation : in standard deviations.
+
+    It grows as the square near 0 and as the logarithm far away, so that one bad value decides nothing.
+    """
+    from scipy.stats import cauchy, norm
+
+    z = np.stack([np.asarray(deviation), np.zeros(np.shape(deviation))])
+    density = (1.0 - _OUTLIERS) * norm.pdf(z) + _OUTLIERS * cauchy.pdf(z, scale=_OUTLIER_SCALE)
+    return np.asarray(np.log(density[1] / density[0]))
+
 
 _SEARCHED = 16  # candidates of a population of the search, for each parameter
 _POPULATION = 512  # draws of the ensemble

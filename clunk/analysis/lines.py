@@ -270,8 +270,8 @@ class Lines:
         nodes = np.stack(ends_of(keys), axis=1)
         begin, way = self.triangles.positions[nodes[:, 0]], np.diff(self.triangles.positions[nodes], axis=1)[:, 0]
         length = _length(way)
-        points = self.triangles.runs[nodes[:, [0, 0, 1, 1]]]
-        points["cell"], points["value"] = np.arange(keys.size)[:, None], length[:, None] * [0, 0, 1, 1]
+        points = self.triangles.runs[nodes]
+        points["cell"], points["value"] = np.arange(keys.size)[:, None], length[:, None] * [0, 1]
 
         def place(edges: Codes, distances: Floats) -> Floats:
             return begin[edges] + (distances / length[edges])[..., None] * way[edges]
@@ -282,8 +282,6 @@ class Lines:
             most=_MOST_CROSSINGS,
             may_run=lambda: self._may_run(_ON_EDGES),
         )
-        order = np.lexsort((low["value"], low["cell"]))
-        low, high = low[order], high[order]
         edges = low["cell"]
         is_apart = (low["value"][1:] - high["value"][:-1] >= RESOLUTION) & self._may_cut(_SEVERAL)
         is_parted = (edges[1:] != edges[:-1]) | is_apart

@@ -5,9 +5,9 @@ their values, are looked through (`with_hidden`): where outcomes may change and 
 ones are run. Between neighbours of different outcome lies a bracket (`brackets`), which is narrowed (`narrow`).
 
 What decides is the outcomes of a bracket's two ends. Where to look is said by a number of the runs (the margin, or how
-much a severity exceeds its bound), if it changes sign with them: where the inverse polynomial through the ends and the
-last points beyond them is zero, as in Alefeld, Potra and Shi 1995 (doi:10.1145/210089.210111). As the number may belong
-to another change, or jump at this one, a bracket that has not been halved so is halved next.
+much a severity exceeds its bound), if it changes sign with them: on either side of the place where the secant through
+the ends is zero. As the number may belong to another change, or jump at this one, a bracket that has not been halved so
+is halved next.
 Where further outcomes lie within a bracket, it becomes several.
 
 It ends: of two steps in a row one halves a bracket at least, and where a bracket becomes more than a number that is
@@ -16,13 +16,21 @@ stated beforehand, those are given up as they are. Between two points `_LOOKED` 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
+from clunk.results.maps import Results
+from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
 from clunk.study.arrays import Bools, Codes, Floats
+from clunk.study.rules import count_of_regimes
+from clunk.study.study import Study
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.runner import Runner
 
 # A run of a cell at a value: the code of its outcome, a number that changes sign where that does, NaN where none is
 # known, and its number of touches.
@@ -37,8 +45,10 @@ _STEEPER = 2.0  # than between known values, as the number of the runs may fall 
 _LOOKED = 64  # runs between two points that look for what is hidden, but for those of the last halving
 _BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
 _BENT = 0.2  # times the bracket's width squared, by which a secant may be off
-_SURE = 100.0  # tolerances by which polynomials of two orders differ, where the place of the higher one is right
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
+
+
+# --- Brackets
 
 
 def with_hidden(
@@ -83,42 +93,38 @@ def _may_hide(points: Points) -> Bools:
 
 
 def brackets(points: Points) -> Points:
-    """Brackets as `narrow` takes them, (n, 4), between neighbours whose outcomes differ.
+    """Brackets as `narrow` takes them, (n, 2), between neighbours whose outcomes differ.
 
     points : in the order of cells and, in each, of values
     """
     apart = (points["cell"][:-1] == points["cell"][1:]) & (points["outcome"][:-1] != points["outcome"][1:])
-    at = np.flatnonzero(apart)
-    around = np.clip(at[:, None] + np.arange(-1, 3), 0, points.size - 1)
-    around = np.where(points["cell"][around] == points["cell"][at, None], around, at[:, None] + [0, 0, 1, 1])
-    return points[around]
+    pairs: Points = points[np.flatnonzero(apart)[:, None] + [0, 1]]
+    return pairs
 
 
 def narrow(
     ends: Points,
     run: Run,
     span: float = 1.0,
-    tolerance: float = TOLERANCE,
     tolerance_of_failures: float = TOLERANCE,
     most: int | None = None,
     may_run: Callable[[], bool] = lambda: True,
 ) -> tuple[Points, Points]:
-    """Narrow brackets to a tolerance, as a share of the span; returns their lower and their upper ends, in no order.
+    """Narrow brackets to `TOLERANCE` of the span; returns their lower and their upper ends, by cell and value.
 
     tolerance_of_failures : that of brackets of which one end is a run that failed
     most : that one of the brackets may become; those of one that becomes more are returned as wide as they are
-    ends : (n, 4), at ascending values of one cell: the ends of a bracket, of different outcome, and before and behind
-        these the next points that are known there, or once more the ends
+    ends : (n, 2), at ascending values of one cell, of different outcome
     may_run : asked before each batch; once it says no, all brackets are returned as wide as they are
     """
-    tolerance, tolerance_of_failures = tolerance * span, tolerance_of_failures * span
+    tolerance, tolerance_of_failures = TOLERANCE * span, tolerance_of_failures * span
     is_slow, narrowed = np.zeros(len(ends), bool), [ends[:0]]
     origin, begun = np.arange(len(ends)), len(ends)  # of each bracket the one that it is a part of
     finished = np.zeros(begun, np.int64)  # parts of each
     while True:
-        low, high = ends["value"][:, 1], ends["value"][:, 2]
+        low, high = ends["value"].T
         width, middle = high - low, 0.5 * (low + high)
-        has_failed = (ends["outcome"][:, 1:3] == FAILED_CODE).any(axis=1)
+        has_failed = (ends["outcome"] == FAILED_CODE).any(axis=1)
         wide = width > np.where(has_failed, tolerance_of_failures, tolerance)
         wide &= (low < middle) & (middle < high) & may_run()
         rest = np.flatnonzero(wide)  # `take` and `put` do with records in a tenth of the time what indexing does
@@ -126,62 +132,123 @@ def narrow(
         crowded = finished + np.bincount(origin[rest], minlength=begun) > (most or np.inf)
         rest = rest[~crowded[origin[rest]]]
         narrowed.append(np.delete(ends, rest, axis=0))
-        ends, is_slow, width, origin = ends.take(rest, axis=0), is_slow[rest], width[rest], origin[rest]
+        ends, is_slow, origin = ends.take(rest, axis=0), is_slow[rest], origin[rest]
+        low, high, width, middle = (each[rest] for each in (low, high, width, middle))
         if not len(ends):
             break
-        place, off = _expected(ends, span)
-        beside = np.maximum(np.where(off <= _SURE * tolerance, 0.0, off), _BESIDE * tolerance)
-        values = place[:, None] + beside[:, None] * [-1.0, 1.0]
+        place = _expected(ends)
+        off = np.maximum(_BENT / span * width**2, _BESIDE * tolerance)
+        values = place[:, None] + off[:, None] * [-1.0, 1.0]
         halved = is_slow | np.isnan(place)
-        values[halved] = middle[rest][halved, None] * [1.0, np.nan]
-        rows, columns = np.nonzero((ends["value"][:, 1:2] < values) & (values < ends["value"][:, 2:3]))
+        values[halved] = middle[halved, None] * [1.0, np.nan]
+        rows, columns = np.nonzero((low[:, None] < values) & (values < high[:, None]))
         cells, new = ends["cell"][rows, 0], values[rows, columns]
         runs = run(cells, new)
         runs["cell"], runs["value"] = cells, new
-        points = np.zeros((len(ends), 6), POINT)
-        points["value"], begins = np.nan, 6 * np.arange(len(ends))
-        points.put(begins[:, None] + np.arange(4), ends)
-        points.put(begins[rows] + 4 + columns, runs)
+        points = np.zeros((len(ends), 4), POINT)
+        points["value"], begins = np.nan, 4 * np.arange(len(ends))
+        points.put(begins[:, None] + np.arange(2), ends)
+        points.put(begins[rows] + 2 + columns, runs)
         points = points.take(begins[:, None] + np.argsort(points["value"], axis=1, kind="stable"))
-        is_end = (points["outcome"][:, 1:-2] != points["outcome"][:, 2:-1]) & ~np.isnan(points["value"][:, 3:])
-        rows, columns = np.nonzero(is_end)
-        ends = points.take((begins[rows] + columns)[:, None] + np.arange(4))
-        is_slow = ends["value"][:, 2] - ends["value"][:, 1] > _STALLED * width[rows]
+        rows, columns = np.nonzero(
+            (points["outcome"][:, :-1] != points["outcome"][:, 1:]) & ~np.isnan(points["value"][:, 1:])
+        )
+        ends = points.take((begins[rows] + columns)[:, None] + np.arange(2))
+        is_slow = ends["value"][:, 1] - ends["value"][:, 0] > _STALLED * width[rows]
         origin = origin[rows]
     ends = np.concatenate(narrowed)
-    return ends[:, 1], ends[:, 2]
+    low, high = ends[np.lexsort((ends["value"][:, 0], ends["cell"][:, 0]))].T
+    return low, high
 
 
-def _expected(ends: Points, span: float) -> tuple[Floats, Floats]:
-    """Value at which the measure is expected to be zero, and how far that may be off, (n,) each.
-
-    It is that of the polynomial of the highest order that is sound, which may be off by as much as that of the next
-    order is from it. The polynomial's points are the bracket's ends and those beyond of the same outcome, between which
-    the measure is monotonous; it is a polynomial in the measure, by Neville's scheme. NaN where the measure has one
-    sign.
-    """
-    values, measures, outcome = (np.ascontiguousarray(ends[name].T) for name in ("value", "measure", "outcome"))
-
-    def zero(first: int, last: int, without_last: Floats, without_first: Floats) -> Floats:
-        """Value at measure zero of the polynomial through points first to last, by those of one point less."""
-        at: Floats = (measures[last] * without_last - measures[first] * without_first) / (
-            measures[last] - measures[first]
-        )
-        return at
-
+def _expected(ends: Points) -> Floats:
+    """Value at which the measure, linear between the ends of a bracket, is zero, (n,); NaN where it has one sign."""
+    (low, high), (first, last) = ends["value"].T, ends["measure"].T
     with np.errstate(invalid="ignore", divide="ignore"):
-        before, place, after = (zero(k, k + 1, values[k], values[k + 1]) for k in range(3))
-        left, right = zero(0, 2, before, place), zero(1, 3, place, after)
-        steps = np.diff(measures, axis=0) * np.sign(measures[2] - measures[1])
-        rises = (steps > 0.0) & (outcome[:-1] == outcome[1:])
-        off = _BENT / span * (values[2] - values[1]) ** 2
-        for can_be, better in (
-            (rises[0], left),
-            (rises[2], right),
-            (rises[0] & rises[2], zero(0, 3, left, right)),
-        ):
-            sound = can_be & (values[1] <= better) & (better <= values[2])
-            off = np.where(sound, np.abs(better - place), off)
-            place = np.where(sound, better, place)
-        crosses = (measures[1] * measures[2] <= 0.0) & (measures[1] != measures[2])
-    return np.where(crosses, place, np.nan), np.where(crosses, off, np.nan)
+        place = low - first * (high - low) / (last - first)
+        return np.where(first * last <= 0.0, place, np.nan)
+
+
+# --- Runs
+
+
+Word = str | bool | int  # an outcome: a label, whether something holds, or a count
+
+_STEPS = 20_000  # of rk4 in a run that counts as one: 2 s at the default step
+
+
+class PointRuns:
+    """Runs at points of some parameters, and the codes of their outcomes.
+
+    study : Study
+    parameters : dotted keys
+    outcome : Quantity
+    lash : position of the one whose outcome it is
+    engine : of threads
+    words : outcomes that have codes already; others get the next ones
+    progress : called after each batch with the numbers of points that have been run and that are expected
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        parameters: Sequence[str],
+        outcome: Quantity,
+        lash: int,
+        engine: Executor,
+        *,
+        words: Sequence[Word] = (),
+        progress: Progress | None = None,
+    ) -> None:
+        self.runner = Runner(measuring(study, [outcome]), parameters, engine=engine)
+        self.study, self.outcome, self._lash = study, outcome, str(lash + 1)
+        self._progress, self.count = progress, 0
+        self.failures: dict[Status, int] = {}  # number of runs by cause
+        self._codes = {word: code for code, word in enumerate(words)}
+
+    @property
+    def cost(self) -> int:
+        """How many runs of one common driveline, by exact or in `_STEPS` steps of rk4, take as long as one of these."""
+        solver, structural = self.study.solver, self.runner.grid.structural
+        steps = solver.end_time / solver.step if solver.method == "rk4" else 0.0
+        return max(1, round(steps / _STEPS), count_of_regimes(self.study) // 2 if structural else 1)
+
+    def __call__(self, values: Floats, more: int = 0) -> Points:
+        """Run points.
+
+        values : (n, parameters), in their units
+        more : number of points that are expected to follow; 0 if that is unknown, and so for progress the number of all
+        """
+        if not len(values):
+            return np.zeros(0, POINT)
+        results = self.runner.run(values).of_lash(self._lash)
+        points = np.zeros(len(values), POINT)
+        points["outcome"], points["measure"], points["touches"] = FAILED_CODE, np.nan, results.touches
+        finished = results.status == Status.OK
+        words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
+        known = [self._codes.setdefault(self._word(word), len(self._codes)) for word in words.tolist()]
+        points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
+        points["measure"][finished] = self._measure(results)[finished]
+        for status, count in zip(*np.unique(results.status[~finished], return_counts=True), strict=True):
+            self.failures[Status(status)] = self.failures.get(Status(status), 0) + int(count)
+        self.count += len(values)
+        if self._progress is not None:
+            self._progress(self.count, self.count + more if more else 0)
+        return points
+
+    def _word(self, value: str | float) -> Word:
+        return value if isinstance(value, str) else bool(value) if self.outcome.type == YES_NO else int(value)
+
+    def _measure(self, results: Results) -> Floats:
+        """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
+        if self.outcome.name == CHATTER:
+            return np.asarray(results.touches - results.primary_impacts - 0.5, np.float64)
+        base = self.outcome if self.outcome.base is None else self.outcome.base
+        if base.type in (TEXT, YES_NO):
+            return results.margin
+        return base.of_runs(results) - float(self.outcome.bound)
+
+    @property
+    def words(self) -> tuple[Word, ...]:
+        """The outcome of each code."""
+        return tuple(self._codes)

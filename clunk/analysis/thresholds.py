@@ -4,7 +4,8 @@ The runs at the axis's own values are a scan: between two neighbours of differen
 brackets are narrowed side by side (`clunk.analysis.search`).
 
 With tolerances each drawn driveline has thresholds of its own, along a further axis, `draw`; the draws are those of a
-tolerance map, made once for all cells.
+tolerance map, made once for all cells. Of these there are quantiles: at a value of the key the probability of an
+outcome is the share of the draws that have it there, which is constant between any draw's thresholds.
 
 Thresholds that lie in pairs between two values of the axis show in no outcome there. They are looked for where touches
 differ by two or more, and where the number of the runs dips towards zero.
@@ -20,20 +21,19 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from clunk.analysis.pointruns import PointRuns, Word
-from clunk.analysis.search import POINT, TOLERANCE, Points, brackets, narrow, with_hidden
+from clunk.analysis.search import POINT, TOLERANCE, PointRuns, Points, Word, brackets, narrow, with_hidden
 from clunk.core.status import Status
-from clunk.results.labels import FAILED, FAILED_CODE, excursions
+from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import design_of, drawn_numbers, has_tolerances
+from clunk.study.designs import design_of, drawn_numbers
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value
@@ -43,7 +43,7 @@ from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.sweep import engine_of
 
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
-UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `clunk.analysis.quantiles`
+UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `threshold_quantiles`
 
 # With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
 # they are 15, with 22 no more than with 16.
@@ -252,44 +252,45 @@ def thresholds(
     [(2.522, 10.0)]
     """
     along_axis, axes = axes_of(study, along)
-    position = lash_position(lash, study.lash_names)
-    keys, values_at = _runner(study, along_axis, axes)
-    cells = math.prod(len(axis.values) for axis in axes)
-    points = np.zeros(cells * len(along_axis.values), POINT)
-    points["cell"] = np.repeat(np.arange(cells), len(along_axis.values))
-    points["value"] = np.tile(along_axis.values, cells)
-    with (
-        engine_of(None, workers) as engine,
-        reporting(progress, scan_count(study), study, what="runs") as report,
-    ):
-        point_runs = PointRuns(study, keys, parse(of, study), position, engine, progress=report)
+    position, outcome = lash_position(lash, study.lash_names), parse(of, study)
+    shape = tuple(len(axis.values) for axis in axes)
+    tolerances = study.sweep.tolerances if study.sweep is not None else ()
+    drawn = drawn_numbers(study, tolerances) if tolerances else []
+    keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
+    keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
+    points = np.zeros(math.prod(shape) * len(along_axis.values), POINT)
+    points["cell"], scanned = np.divmod(np.arange(points.size), len(along_axis.values))
+    points["value"] = along_axis.values[scanned]
+    with engine_of(None, workers) as engine, reporting(progress, points.size, study, what="runs") as report:
+        point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)
 
         def run(cells: Codes, values: Floats) -> Points:
-            return point_runs(values_at(cells, values), more=4 * values.size)
+            places = np.unravel_index(cells, shape) if shape else ()
+            columns = {axis.parameter: axis.values[at] for axis, at in zip(axes, places, strict=True)}
+            columns[along_axis.parameter] = values
+            draws = columns.pop(DRAW, np.ones(1)).astype(np.int64)
+            for tolerance, numbers in zip(tolerances, drawn, strict=True):
+                around = columns.get(tolerance.parameter, nominal_value(study, tolerance.parameter))
+                columns[tolerance.parameter] = tolerance.applied(numbers[draws - 1], around)
+            runs = point_runs(point_runs.runner.values(columns), more=4 * values.size)
+            runs["cell"], runs["value"] = cells, values
+            return runs
 
-        scanned = run(points["cell"], points["value"])
-        for name in ("outcome", "measure", "touches"):
-            points[name] = scanned[name]
-        points, _ = with_hidden(points, run, _HALVINGS)
+        points, _ = with_hidden(run(points["cell"], points["value"]), run, _HALVINGS)
         span = float(np.ptp(along_axis.values))
         low, high = narrow(brackets(points), run, span, tolerance_of_failures=OFF_FAILURES, most=_MOST)
-    order = np.lexsort((low["value"], low["cell"]))
-    low, high = low[order], high[order]
-    found = point_runs.words
-    words = sorted(found, key=lambda word: (excursions(word), word) if isinstance(word, str) else (word, ""))
-    renumbered = np.array([*map(words.index, found), FAILED_CODE])
     return Thresholds(
         study=study,
         along=along_axis,
         axes=axes,
-        outcome=point_runs.outcome,
-        words=tuple(words),
-        lowest=renumbered[points["outcome"][np.unique(points["cell"], return_index=True)[1]]],
-        cell=low["cell"].copy(),
+        outcome=outcome,
+        words=point_runs.words,
+        lowest=points["outcome"][np.unique(points["cell"], return_index=True)[1]],
+        cell=low["cell"],
         value=0.5 * (low["value"] + high["value"]),
         off=0.5 * (high["value"] - low["value"]),
-        below=renumbered[low["outcome"]],
-        above=renumbered[high["outcome"]],
+        below=low["outcome"],
+        above=high["outcome"],
         runs=point_runs.count,
         failures=point_runs.failures,
         lash=study.lash_names[position] if len(study.lashes) > 1 else "",
@@ -304,12 +305,6 @@ def parse(of: str, study: Study) -> Quantity:
     if quantity.name == NOMINAL:
         raise ClunkError(f"{NOMINAL} has no thresholds; name the label, as in label=DS(1)SS(1).")
     return quantity
-
-
-def scan_count(study: Study) -> int:
-    """Number of runs of the scan, the fewest that thresholds take."""
-    draws = study.sweep.sampling.count if study.sweep is not None and has_tolerances(study) else 1
-    return design_of(study).cells * draws
 
 
 def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...]]:
@@ -340,25 +335,99 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     return ascending, drawn + tuple(each for each in axes if each is not axis)
 
 
-def _runner(
-    study: Study, along: ResultAxis, axes: tuple[ResultAxis, ...]
-) -> tuple[list[str], Callable[[Codes, Floats], Floats]]:
-    """Keys that differ between runs, and a function: values of these (n, keys) in cells at values of the key."""
-    assert study.sweep is not None
-    tolerances = study.sweep.tolerances
-    drawn = [*zip(tolerances, drawn_numbers(study, tolerances) if tolerances else (), strict=True)]
-    swept = [axis.parameter for axis in axes if axis.parameter != DRAW]
-    keys = [*dict.fromkeys([*swept, along.parameter, *(tolerance.parameter for tolerance in tolerances)])]
-    shape = tuple(len(axis.values) for axis in axes)
+QUANTILE = "quantile"  # the axis in the place of `draw`
 
-    def values_at(cells: Codes, values: Floats) -> Floats:
-        places = np.unravel_index(cells, shape) if shape else ()
-        columns = {axis.parameter: axis.values[at] for axis, at in zip(axes, places, strict=True)}
-        columns[along.parameter] = values
-        draws = columns.pop(DRAW, np.ones(1)).astype(np.int64)
-        for tolerance, numbers in drawn:
-            around = columns.get(tolerance.parameter, nominal_value(study, tolerance.parameter))
-            columns[tolerance.parameter] = tolerance.applied(numbers[draws - 1], around)
-        return np.stack(np.broadcast_arrays(*(columns[key] for key in keys)), axis=1)
 
-    return keys, values_at
+def check_quantiles(quantiles: Sequence[float]) -> None:
+    """Raise ClunkError where quantiles are not such as `threshold_quantiles` takes."""
+    for quantile in quantiles:
+        if not 0.5 <= quantile <= 1.0:
+            raise ClunkError(
+                f"{quantile:g} is no quantile here: it is the share of the draws that have the same outcome, from 0.5 "
+                "to 1."
+            )
+    if len(set(quantiles)) < max(len(quantiles), 1):
+        raise ClunkError("A quantile is named twice." if quantiles else "There is no quantile.")
+
+
+def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.5, 0.95)) -> Thresholds:
+    """Thresholds between the values of the key at which so many of the drawn drivelines have the same outcome.
+
+    Parameters
+    ----------
+    thresholds : Thresholds
+        Of a study with tolerances.
+    quantiles : sequence of float
+        Shares of the draws, from 0.5 to 1.
+
+    Returns
+    -------
+    Thresholds
+        With an axis `quantile`, the last, in the place of `draw`. Where no outcome has the share of the draws, it is
+        `uncertain`; of two outcomes that have half of the draws each, it is the first in the order of `words`.
+
+    Raises
+    ------
+    ClunkError
+        Where the thresholds are not those of drawn drivelines, or a quantile is not from 0.5 to 1.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> axis = "sweep.axes=[{parameter='load.ratio', start=0.0, stop=10.0, count=11}]"
+    >>> study = clunk.load_study("configs/tolerance.toml", [axis, "lash.backlash_deg=6.0", "sweep.sampling.count=16"])
+    >>> drawn = clunk.thresholds(study, along="load.ratio", of="double_sided")
+    >>> [(begin, round(end, 3)) for begin, end in clunk.threshold_quantiles(drawn, [0.95]).where(False, quantile=0.95)]
+    [(0.0, 2.507)]
+    """
+    draws = _draws(thresholds)
+    check_quantiles(quantiles)
+    cells = thresholds.lowest.size // draws
+    needed = [math.ceil(quantile * draws - 1e-9) for quantile in quantiles]
+    lowest, columns = [], []
+    for cell in range(cells):
+        counts, edges, off = _counts(thresholds, cell, cells)
+        likely = counts.argmax(axis=1)
+        codes = np.where(likely == len(thresholds.words), FAILED_CODE, likely)
+        for k, count in enumerate(needed):
+            certain = np.where(counts.max(axis=1) >= count, codes, UNCERTAIN_CODE)
+            at = np.flatnonzero(certain[1:] != certain[:-1])
+            lowest.append(certain[0])
+            place = np.full(at.size, cell * len(needed) + k)
+            columns.append((place, edges[at + 1], off[at], certain[at], certain[at + 1]))
+    axis = ResultAxis(QUANTILE, np.array(quantiles, np.float64), "share of the draws", "", "1")
+    place, value, off, below, above = map(np.concatenate, zip(*columns, strict=True))
+    return replace(
+        thresholds,
+        axes=(*thresholds.axes[1:], axis),
+        lowest=np.array(lowest),
+        cell=place,
+        value=value,
+        off=off,
+        below=below,
+        above=above,
+    )
+
+
+def _draws(thresholds: Thresholds) -> int:
+    if not thresholds.axes or thresholds.axes[0].parameter != DRAW:
+        raise ClunkError("Quantiles are those of drawn drivelines: the config has no [[sweep.tolerances]].")
+    return len(thresholds.axes[0].values)
+
+
+def _counts(thresholds: Thresholds, cell: int, cells: int) -> tuple[Codes, Floats, Floats]:
+    """Number of draws with each outcome between the thresholds of all draws, (m, words + 1), and the ends, (m + 1,).
+
+    Also by how much each of the ends but the outer two may be off, (m - 1,).
+    """
+    outcomes = len(thresholds.words) + 1  # the code of failed runs, -1, is the last
+    part = np.flatnonzero(thresholds.cell % cells == cell)
+    part = part[np.argsort(thresholds.value[part], kind="stable")]
+    steps = np.zeros((part.size + 1, outcomes), np.int64)
+    steps[0] = np.bincount(thresholds.lowest[cell::cells] % outcomes, minlength=outcomes)
+    rows = np.arange(1, part.size + 1)
+    steps[rows, thresholds.above[part]] += 1
+    steps[rows, thresholds.below[part]] -= 1
+    edges = np.concatenate([thresholds.along.values[:1], thresholds.value[part], thresholds.along.values[-1:]])
+    wide, off = np.diff(edges) > 0.0, np.append(0.0, thresholds.off[part])
+    return steps.cumsum(axis=0)[wide], np.append(edges[:-1][wide], edges[-1]), off[wide][1:]

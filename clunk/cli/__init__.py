@@ -26,6 +26,8 @@ _COMMANDS = (
     *("compare", "fit", "verify", "sensitivity", "thresholds", "optimize", "reproduce"),
 )
 
+_MODULES = {"verify": "compare"}  # of commands that share one; others have their own, of the same name
+
 
 class _Commands(click.Group):
     """Commands of the modules that have their names."""
@@ -38,7 +40,7 @@ class _Commands(click.Group):
         """Import a command's module and return the command."""
         if cmd_name not in _COMMANDS:
             return None
-        command: click.Command = getattr(import_module(f"clunk.cli.{cmd_name}"), cmd_name)
+        command: click.Command = getattr(import_module(f"clunk.cli.{_MODULES.get(cmd_name, cmd_name)}"), cmd_name)
         return command
 
     def resolve_command(

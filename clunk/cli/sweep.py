@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @click.option(
     "--boundaries/--no-boundaries",
     default=None,
-    help="Trace the curves between labels, of one or two axes [two: yes, one: no].",
+    help="Trace the curves between labels, of two axes [yes].",
 )
 @click.option("--lash", metavar="NAME", help="Of several lashes, the one whose boundaries are traced [the first].")
 @click.option(

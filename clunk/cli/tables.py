@@ -103,7 +103,6 @@ def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
     return of_lash | {
         "curves": [
             {"left": curve.left, "right": curve.right, "event": curve.event, "vertices": len(curve.vertices)}
-            | ({"value": float(curve.vertices[0, 0])} if len(boundaries.axes) == 1 else {})
             for curve in boundaries.curves
         ],
         "junctions": [{"at": place.tolist(), "labels": labels} for place, labels in boundaries.meetings],

@@ -41,6 +41,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @click.argument("config", type=PATH)
 @click.option(
     "--along",
+    required=True,
     metavar="KEY",
     shell_complete=completion.swept,
     help="The axis of CONFIG along which they are looked for.",
@@ -68,7 +69,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @json_option
 def thresholds(
     config: Path,
-    along: str | None,
+    along: str,
     outcome: str,
     quantiles: tuple[float, ...] | None,
     draws: bool,
@@ -95,39 +96,27 @@ def thresholds(
           --of double_sided --quantiles 0.5,0.95,0.99
     """
     from clunk.analysis import thresholds as analysis
-    from clunk.analysis.quantiles import check, threshold_quantiles
+    from clunk.analysis.thresholds import check_quantiles, threshold_quantiles
     from clunk.results import files
     from clunk.results.files import write_text
-    from clunk.simulation.load import load_step
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
     from clunk.study.models import lash_position
 
     study = load_study(config, overrides)
-    if along is None:
-        swept_keys = [axis.parameter for axis in study.sweep.axes] if study.sweep else []
-        raise click.UsageError(f"Along which axis? Name one: --along {' or --along '.join(swept_keys or ['KEY'])}.")
-    scanned, axes = analysis.axes_of(study, along)
+    _, axes = analysis.axes_of(study, along)
     if at:
-        if any(place.partition("=")[0].strip() == scanned.parameter for place in at):
-            raise click.UsageError(f"--at is for the axes other than {along}, along which thresholds are looked for.")
-        swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
-        study = with_axes_at(study, nearest_values(swept, (), at))
+        study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], (), at))
         _, axes = analysis.axes_of(study, along)
-    asked = analysis.parse(outcome, study)
+    analysis.parse(outcome, study)
     lash_position(lash, study.lash_names)
-    torques = load_step(study.load)
-    if asked.name == "double_sided" and torques.before * torques.after < 0.0:
-        terminal.complain(
-            "note: the torque reverses, so that teeth cross even without a double-sided impact: CR(1) is none"
-        )
     is_toleranced = has_tolerances(study)
     if (draws or quantiles) and not is_toleranced:
         raise ClunkError("--quantiles and --draws need [[sweep.tolerances]], and the config has none.")
     if draws and quantiles:
         raise click.UsageError("--draws has the thresholds themselves, not their --quantiles; give one of the two.")
     shares = quantiles or (0.5, 0.95)
-    check(shares)
+    check_quantiles(shares)
     is_picture = output is not None and output.suffix.lower() in files.PICTURES
     if output is not None:
         files.check(output, (".csv", ".json", *files.PICTURES), reads=config)

@@ -15,11 +15,10 @@ from matplotlib.lines import Line2D
 
 from clunk.analysis.comparison import Comparison
 from clunk.analysis.fitted import Fitted, fit_maps
+from clunk.analysis.measurements import ExperimentComparison
 from clunk.analysis.optimisation import Front
-from clunk.analysis.quantiles import QUANTILE
 from clunk.analysis.sobol import CONFIDENCE, Sensitivity
-from clunk.analysis.thresholds import DRAW, Thresholds, word_text
-from clunk.analysis.trends import ExperimentComparison
+from clunk.analysis.thresholds import DRAW, QUANTILE, Thresholds, word_text
 from clunk.plot import style
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure

@@ -266,14 +266,9 @@ class Layers:
 
     @property
     def bands(self) -> tuple[Floats, Codes]:
-        """Edges (n + 1,) and regions (n,) of a strip's bands: as traced, or with edges halfway between samples."""
-        if self.boundaries is None:
-            edges, codes = cell_edges(self.view.x), self.codes
-        else:
-            edges = np.append(self.boundaries.ring_vertices[::2, 0], self.view.x.values[-1])
-            codes = self.regions_of[self.boundaries.region_label]
-        first = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))
-        return np.append(edges[first], edges[-1]), codes[first]
+        """Edges (n + 1,) and regions (n,) of a strip's bands, with edges halfway between samples."""
+        edges, first = cell_edges(self.view.x), np.flatnonzero(np.diff(self.codes, prepend=self.codes[0] - 1))
+        return np.append(edges[first], edges[-1]), self.codes[first]
 
     @cached_property
     def lines(self) -> list[Floats]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-from textwrap import fill
 
 import numpy as np
 from matplotlib import colors, ticker
@@ -79,7 +78,6 @@ _NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
 _AROUND = (0.9, 1.3)  # inches, for their axes and titles
 _WITHOUT_RIDGE = ("margin", "last_event_time")
 _LONG = 0.5  # of the map's width, that a ridge has at least
-_LISTED, _LINE = 24, 100  # values at which labels change, and characters of a line of them
 
 
 def draw(
@@ -257,10 +255,6 @@ def strip(drawn: AnyMap, quantity: str = LABEL) -> Figure:
     band.tick_params(bottom=False, labelbottom=False)
     lay_out(figure, band, layers.title, layers.subtitle())
     notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names, _SIZES[True][0]))
-    if layers.boundaries is not None:
-        changes = [f"{value:.7g}" for value in layers.boundaries.vertices[:, 0]]
-        more = f" and {len(changes) - _LISTED} more" if len(changes) > _LISTED else ""
-        notes.append(remark(fill(f"the label changes at {', '.join(changes[:_LISTED])}{more}", _LINE)))
     add_notes(figure, notes)
     return figure
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.fitting import fit
-from clunk.analysis.measurements import read_experiment
-from clunk.analysis.trends import ExperimentComparison, compare_experiment
+from clunk.analysis.measurements import ExperimentComparison, compare_experiment, read_experiment
 from clunk.results.maps import Results
 from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate

@@ -51,10 +51,10 @@ _PLACES = (  # prefix of a variable for each axis, field, dimension
 
 
 class Curve(NamedTuple):
-    """A curve between two labels; of one axis, a single value.
+    """A curve between two labels.
 
-    vertices : (n, axes), in the axes' units
-    left, right : label on either side on the way from the first vertex to the last; of one axis, below and above
+    vertices : (n, 2), in the axes' units
+    left, right : label on either side on the way from the first vertex to the last
     event : one of `EVENTS`, what changes the label
     """
 
@@ -67,8 +67,7 @@ class Curve(NamedTuple):
 class Region(NamedTuple):
     """A connected part of a map with one label.
 
-    rings : closed polygons, (n, 2) each in the axes' units, the outer one first, anticlockwise, then holes, clockwise;
-        of one axis, the ends of an interval, (2, 1)
+    rings : closed polygons, (n, 2) each in the axes' units, the outer one first, anticlockwise, then holes, clockwise
     label : str
     area : share of the map, measured along its axes as they are spaced: evenly, or in their logarithm
     """
@@ -80,23 +79,23 @@ class Region(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Boundaries:
-    """The boundary network of a regime map over one or two axes, each vertex right to 1e-9 of its axis's range.
+    """The boundary network of a regime map over two axes, each vertex right to 1e-9 of its axis's range.
 
     axes : of the map
     labels : code -> label; first those of the map, then any that none of its cells has; the code -1 is `failed`
-    vertices : (V, axes) float64, in the axes' units, of one curve after the other
+    vertices : (V, 2) float64, in the axes' units, of one curve after the other
     curve_counts : (C,) int32, number of vertices of each curve
     curve_left, curve_right : (C,) int16, codes on either side
     curve_event : (C,) int8, number in `EVENTS` of the event at the middle of each curve
     junctions : (J, 2) float64, points where three labels meet, or four where two boundaries cross, right to 1e-7 of
         the map
     junction_labels : (J, 3 or 4) int16, their codes, ascending, and `NO_LABEL` behind them
-    ring_vertices : (W, axes) float64, closed rings of one region after the other, see `Region`
+    ring_vertices : (W, 2) float64, closed rings of one region after the other, see `Region`
     ring_counts : (G,) int32, number of vertices of each ring
     region_rings : (R,) int32, number of rings of each region
     region_label : (R,) int16, code
     region_area : (R,) float64, share of the map
-    unresolved : (U, axes) float64, a place in each cell where no line could be located: a label has no width there or
+    unresolved : (U, 2) float64, a place in each cell where no line could be located: a label has no width there or
         hangs on rounding, or labels change more finely than lines are traced
     lash : name of the lash whose labels they are; empty where there is one
 
@@ -170,8 +169,6 @@ class Boundaries:
     def summary(self) -> Rows:
         """Pairs of a name and a value that describe the network, for people."""
         name = f"boundaries of {self.lash}" if self.lash else "boundaries"
-        if len(self.axes) == 1:
-            return [(name, f"{counted(len(self.vertices), 'value')} of {self.axes[0].parameter}")]
         parts = [f"{counted(len(self.curve_counts), 'curve')} of {len(self.vertices):,} vertices"]
         parts += [counted(len(self.junctions), "junction"), counted(len(self.region_area), "region")]
         return [(name, ", ".join(parts))]
@@ -193,16 +190,13 @@ class Boundaries:
         )
 
     def meeting_rows(self) -> list[dict[str, str]]:
-        """Values of one axis with the labels on either side, or junctions with the labels that meet, by heading."""
-        if len(self.axes) == 1:
-            places, heads = self.vertices, ["below", "above", "event"]
-            words = [[curve.left, curve.right, curve.event.replace("_", " ")] for curve in self.curves]
-        else:
-            places, heads = self.junctions, ["labels that meet"]
-            words = [[", ".join(labels)] for _, labels in self.meetings]
-        heads = [*(axis.parameter for axis in self.axes), *heads]
-        rows = [[f"{value:.10g}" for value in place] for place in places.tolist()]
-        return [dict(zip(heads, [*row, *each], strict=True)) for row, each in zip(rows, words, strict=True)]
+        """Junctions with the labels that meet, by heading."""
+        names = [axis.parameter for axis in self.axes]
+        return [
+            {name: f"{value:.10g}" for name, value in zip(names, place.tolist(), strict=True)}
+            | {"labels that meet": ", ".join(labels)}
+            for place, labels in self.meetings
+        ]
 
     def __repr__(self) -> str:
         return as_text("clunk.Boundaries", [*self.summary(), *((k, f"{v:.6%}") for k, v in self.areas.items())])
@@ -210,41 +204,29 @@ class Boundaries:
     def geojson(self) -> dict[str, Any]:
         """A FeatureCollection: regions as polygons, curves as lines, junctions as points.
 
-        Coordinates are the axes' values in the order of the axes; of one axis, the second coordinate is 0.
+        Coordinates are the axes' values in the order of the axes.
         """
-        flat = len(self.axes) == 1
-
-        def plain(points: Floats) -> list[list[float]]:
-            values: list[list[float]] = (np.column_stack([points, np.zeros(len(points))]) if flat else points).tolist()
-            return values
-
-        features = []
+        features: list[tuple[str, list[Any], dict[str, Any]]] = []
         for region in self.regions:
-            rings = [plain(ring) for ring in region.rings]
-            shape: tuple[str, Any] = ("LineString", rings[0]) if flat else ("Polygon", rings)
-            features.append(_feature(*shape, label=region.label, area=region.area))
+            rings = [ring.tolist() for ring in region.rings]
+            features.append(("Polygon", rings, {"label": region.label, "area": region.area}))
         for curve in self.curves:
-            points = plain(curve.vertices)
-            shape = ("Point", points[0]) if flat else ("LineString", points)
-            features.append(_feature(*shape, left=curve.left, right=curve.right, event=curve.event))
-        for point, labels in self.meetings:
-            features.append(_feature("Point", point.tolist(), labels=labels))
-        for place in plain(self.unresolved):
-            features.append(_feature("Point", place, unresolved=True))
-        names = [axis.parameter for axis in self.axes]
-        return {"type": "FeatureCollection", "axes": names, "features": features}
+            sides = {"left": curve.left, "right": curve.right, "event": curve.event}
+            features.append(("LineString", curve.vertices.tolist(), sides))
+        features += [("Point", point.tolist(), {"labels": labels}) for point, labels in self.meetings]
+        features += [("Point", place, {"unresolved": True}) for place in self.unresolved.tolist()]
+        return {
+            "type": "FeatureCollection",
+            "axes": [axis.parameter for axis in self.axes],
+            "features": [
+                {"type": "Feature", "geometry": {"type": shape, "coordinates": points}, "properties": properties}
+                for shape, points, properties in features
+            ],
+        }
 
 
 def _parts(values: Array, counts: npt.NDArray[np.int32]) -> list[Array]:
     return list(np.split(values, np.cumsum(counts)[:-1])) if counts.size else []
-
-
-def _feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
-    return {
-        "type": "Feature",
-        "geometry": {"type": geometry, "coordinates": coordinates},
-        "properties": properties,
-    }
 
 
 def variables_of(boundaries: Boundaries) -> dict[str, Variable]:

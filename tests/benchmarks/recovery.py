@@ -14,9 +14,8 @@ import time
 
 import numpy as np
 
-from clunk.analysis.fitruns import Candidates
 from clunk.analysis.fitted import INTERVAL, effective_size, weighted_quantiles, weights_of
-from clunk.analysis.fitting import sample
+from clunk.analysis.fitting import Candidates, sample
 from clunk.analysis.measurements import experiment_of
 from clunk.api import run_points
 from clunk.results.labels import flanks_of_label
