@@ -203,9 +203,9 @@ def run_points(
     if not points:
         raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
     design = design_of_points(study, points)
-    values = np.stack([column.values for column in design.columns], axis=-1)
+    values = np.stack([axis.values for axis in design.coordinates], axis=-1)
     with sweeping.engine_of(scheduler, workers) as engine:
-        runner = Runner(study, [column.parameter for column in design.columns], engine=engine)
+        runner = Runner(study, [axis.parameter for axis in design.coordinates], engine=engine)
         with reporting(progress, design.cells, runner.study) as report:
             return runner.run(values, report)
 

@@ -873,7 +873,7 @@ def test_design_survives_the_round_trip_and_counts_in_the_digest():
 
 def columns(*tables: str, count: int = 1024, method: str = "sobol", seed: int = 0) -> list[np.ndarray]:
     sampling = f'count = {count}\nseed = {seed}\nmethod = "{method}"'
-    return [column.values for column in design_of(study_from_text(drawn(*tables, sampling=sampling))).columns]
+    return [axis.values for axis in design_of(study_from_text(drawn(*tables, sampling=sampling))).coordinates]
 
 
 DISTRIBUTIONS = {

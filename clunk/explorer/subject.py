@@ -5,18 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from clunk.analysis.boundaries import BoundaryError, with_boundaries
 from clunk.plot.plane import parted_axes
 from clunk.results.labels import FAILED
-from clunk.results.maps import AnyMap, ToleranceMap, parameters_of, values_at
+from clunk.results.maps import AnyMap, ToleranceMap, values_at
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
-from clunk.study.axes import LASH, RUN, ResultAxis
+from clunk.study.axes import LASH, RUN, ResultAxis, parameters_of
 from clunk.study.config import study_from_text
-from clunk.study.designs import Column, Design, design_of, has_tolerances, nominal
+from clunk.study.designs import Design, design_of, has_tolerances, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import nominal_value
 from clunk.study.study import Study, replace_values, to_toml
@@ -98,14 +99,12 @@ class Subject:
         """
         study = self._study_of_map(slices, numbers)
         if not self._has_runs and any(len(axis.values) > _COARSE for axis in self.plane):
-            columns = []
-            for k, column in enumerate(design_of(study).columns):
-                last = len(column.values) - 1
+            axes = []
+            for axis in design_of(study).axes:
+                last = len(axis.values) - 1
                 few = np.unique(np.rint(np.linspace(0, last, min(last + 1, _COARSE))).astype(np.intp))
-                columns.append(Column(column.parameter, k, column.values[few]))
-            yield sweep(
-                study, Design(tuple(len(column.values) for column in columns), tuple(columns)), progress=progress
-            )
+                axes.append(replace(axis, values=axis.values[few]))
+            yield sweep(study, Design(tuple(axes)), progress=progress)
         full = sweep(study, progress=progress)
         full = full.at(slices) if self._has_runs else full
         yield full

@@ -30,7 +30,7 @@ from clunk.results.quantities import (
     named_numbers,
 )
 from clunk.study.arrays import Array, Bools, Floats, Integers
-from clunk.study.axes import LASH, RUN, ResultAxis
+from clunk.study.axes import LASH, RUN, ResultAxis, parameters_of
 from clunk.study.document import value_at
 from clunk.study.models import lash_name, lash_position
 from clunk.study.records import Rows, as_text, counted
@@ -204,10 +204,9 @@ class Map(ABC):
             if each.dimension not in COUNTED_BY
         }
         if "primary_impacts" in arrays:
-            cells = np.arange(self.first_impact.size - 1).reshape(self.shape)[index].ravel()
-            count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
-            begin = np.cumsum(count) - count  # of each cell's impacts in the slice
-            impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
+            is_part = np.zeros(self.shape, bool)
+            is_part[index] = True
+            impacts = np.repeat(is_part.ravel(), self.primary_impacts.ravel())
             arrays |= {name: self.arrays[name][impacts] for name in self.quantities if name not in arrays}
         lash = np.array(self.lashes)[index[-1:]].ravel().tolist() if self.lashes else [""]
         is_whole = all(places == slice(None) for places in index[: len(self.axes) - bool(self.lashes)])
@@ -234,11 +233,6 @@ class Map(ABC):
         labels = [tuple(row.values()) for row in self.label_table()]
         rows = [*self.summary(), *self.facts, *((label, ", ".join(numbers)) for label, *numbers in labels)]
         return as_text(f"clunk.{type(self).__name__} {self.title!r}", rows)
-
-
-def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
-    """The swept parameters: the axes, and in the place of `run` its coordinates."""
-    return tuple(each for axis in axes for each in (coordinates if axis.parameter == RUN else [axis]))
 
 
 def values_at(

@@ -79,6 +79,16 @@ class ResultAxis:
         return bool(np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0)
 
 
+def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
+    """The swept parameters: the axes, and in the place of `run` its coordinates."""
+    return tuple(each for axis in axes for each in (coordinates if axis.parameter == RUN else [axis]))
+
+
+def run_axis(count: int) -> ResultAxis:
+    """The dimension of this number of runs."""
+    return ResultAxis(RUN, np.arange(1.0, count + 1.0), RUN, "", "1")
+
+
 def lash_axis(names: Sequence[str]) -> ResultAxis:
     """The dimension of these lashes."""
     return ResultAxis(LASH, np.arange(1.0, len(names) + 1.0), LASH, "", "1", tuple(names))

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.study.arrays import Cells, Floats
-from clunk.study.axes import RUN, ResultAxis
+from clunk.study.axes import ResultAxis, parameters_of, run_axis
 from clunk.study.document import dotted
 from clunk.study.errors import ConfigError, Problem, report
 from clunk.study.keys import validated, with_tuples
@@ -26,37 +26,20 @@ from clunk.study.sweeps import Axis, Draw
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
-    """A parameter's values along one dimension.
+class Design:
+    """The cells of a sweep: the product of its axes.
 
-    parameter : dotted key
-    dimension : its number in the design
-    values : (length of the dimension,) float64, in the key's unit
+    axes : one for each dimension; of what is walked or drawn together `run`, with the runs' numbers
+    coordinates : the parameters along `run`, each as long as it
     """
 
-    parameter: str
-    dimension: int
-    values: Floats
+    axes: tuple[ResultAxis, ...] = ()
+    coordinates: tuple[ResultAxis, ...] = ()
 
     @property
-    def axis(self) -> ResultAxis:
-        """The parameter as an axis or a coordinate of results."""
-        known = quantity(self.parameter)
-        return ResultAxis(self.parameter, self.values, known.name, known.symbol, known.unit)
-
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """The cells of a sweep: the product of its dimensions.
-
-    shape : length of each dimension
-    columns : the parameters that change; one along each dimension, any number along `run`
-    run : number of the dimension of what is walked or drawn together, if there is one
-    """
-
-    shape: tuple[int, ...]
-    columns: tuple[Column, ...]
-    run: int | None = None
+    def shape(self) -> tuple[int, ...]:
+        """Length of each axis."""
+        return tuple(len(axis.values) for axis in self.axes)
 
     @property
     def cells(self) -> int:
@@ -64,41 +47,44 @@ class Design:
         return math.prod(self.shape)
 
     @property
-    def axes(self) -> tuple[ResultAxis, ...]:
-        """Axis of each dimension; along `run` the runs' numbers from 1."""
-        columns = {column.dimension: column for column in self.columns}
-        numbers = [np.arange(1.0, length + 1.0) for length in self.shape]
-        return tuple(
-            ResultAxis(RUN, numbers[k], "run", "", "1") if k == self.run else columns[k].axis
-            for k in range(len(self.shape))
-        )
-
-    @property
-    def coordinates(self) -> tuple[ResultAxis, ...]:
-        """The parameters along `run`."""
-        return tuple(column.axis for column in self.columns if column.dimension == self.run)
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """The parameters that change: the axes, and in the place of `run` its coordinates."""
+        return parameters_of(self.axes, self.coordinates)
 
     def at(self, cells: Cells) -> dict[str, Floats]:
         """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
-        positions = np.unravel_index(cells, self.shape)
-        return {column.parameter: column.values[positions[column.dimension]] for column in self.columns}
+        values: dict[str, Floats] = {}
+        for axis, positions in zip(self.axes, np.unravel_index(cells, self.shape), strict=True):
+            values |= {each.parameter: each.values[positions] for each in parameters_of([axis], self.coordinates)}
+        return values
+
+
+def axis_of(parameter: str, values: Floats) -> ResultAxis:
+    """Axis of a parameter, (n,) float64 in its key's unit."""
+    known = quantity(parameter)
+    return ResultAxis(parameter, values, known.name, known.symbol, known.unit)
+
+
+def along_run(columns: Iterable[tuple[str, Floats]]) -> Design:
+    """Design of parameters that are walked together, each with its values, all (n,) float64."""
+    coordinates = tuple(axis_of(parameter, values) for parameter, values in columns)
+    return Design((run_axis(len(coordinates[0].values)),), coordinates)
 
 
 def design_of(study: Study) -> Design:
     """The design of a study's sweep, tolerances aside; of no dimension and one cell without axes and samples."""
     sweep = study.sweep
     if sweep is None:
-        return Design((), ())
+        return Design()
+    swept = [(axis.parameter, axis.grid) for axis in sweep.axes]
     if sweep.design == "zip" and sweep.axes:
-        together = tuple(Column(axis.parameter, 0, axis.grid) for axis in sweep.axes)
-        return Design((sweep.axes[0].count_of_values,), together, run=0)
-    shape = tuple(axis.count_of_values for axis in sweep.axes)
-    columns = [Column(axis.parameter, k, axis.grid) for k, axis in enumerate(sweep.axes)]
+        return along_run(swept)
+    axes = tuple(axis_of(*each) for each in swept)
     if not sweep.samples:
-        return Design(shape, tuple(columns))
-    for draw, drawn in zip(sweep.samples, drawn_numbers(study, sweep.samples), strict=True):
-        columns.append(Column(draw.parameter, len(shape), draw.applied(drawn, _unswept_value(study, draw.parameter))))
-    return Design((*shape, sweep.sampling.count), tuple(columns), run=len(shape))
+        return Design(axes)
+    drawn = zip(sweep.samples, drawn_numbers(study, sweep.samples), strict=True)
+    sample = along_run((d.parameter, d.applied(numbers, _unswept_value(study, d.parameter))) for d, numbers in drawn)
+    return Design((*axes, *sample.axes), sample.coordinates)
 
 
 def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Design:

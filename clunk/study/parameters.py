@@ -153,6 +153,7 @@ def get_value(config: Config, parameter: str) -> float:
     return value
 
 
+@functools.lru_cache(maxsize=1024)
 def quantity(parameter: str) -> Quantity:
     """Name, symbol and unit of what a parameter measures; the unit is one that udunits reads.
 

@@ -65,7 +65,7 @@ class Grid:
         self.study = study
         self.design = design or design_of(study)
         self.layout = layout_of(study)
-        parameters = (each.parameter for each in self.design.columns)
+        parameters = (each.parameter for each in self.design.parameters)
         self.structural = tuple(key for key in parameters if not leaves_system(study, key))
         self.tile_cells = min(_TILE_CELLS[study.solver.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         if self.structural:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clunk.results.maps import Results
 from clunk.study.arrays import Floats
-from clunk.study.designs import Column, Design, design_of_points
+from clunk.study.designs import Design, along_run, design_of_points
 from clunk.study.document import dotted
 from clunk.study.errors import ConfigError
 from clunk.study.models import NOT_OF_A_RUN
@@ -151,8 +151,7 @@ class Runner:
             yield from tiles
 
     def _design(self, values: Floats) -> Design:
-        columns = zip(self.keys, values.T, strict=True)
-        return Design((len(values),), tuple(Column(key, 0, column) for key, column in columns), run=0)
+        return along_run(zip(self.keys, values.T, strict=True))
 
     @cached_property
     def _heading(self) -> dict[str, str]:

@@ -19,7 +19,7 @@ from clunk.results.labels import FAILED_CODE, label_order
 from clunk.results.maps import QUANTILES, ToleranceMap, most_likely
 from clunk.study.arrays import Cells, Codes, Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import Column, Design, design_of, drawn_numbers
+from clunk.study.designs import along_run, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.cells import Flag, Grid
@@ -57,9 +57,9 @@ class SampleRunner:
         nominal = study.model_copy(update={"sweep": None})
         self.design = design_of(study)
         self._tolerances = study.sweep.tolerances
-        keys = dict.fromkeys(column.parameter for column in self.design.columns)
+        keys = dict.fromkeys(axis.parameter for axis in self.design.parameters)
         keys |= dict.fromkeys(draw.parameter for draw in self._tolerances)
-        self._grid = Grid(nominal, Design((1,), tuple(Column(key, 0, np.zeros(1)) for key in keys), run=0))
+        self._grid = Grid(nominal, along_run((key, np.zeros(1)) for key in keys))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.sweep.sampling.count
         self.drawn = drawn_numbers(study, self._tolerances)
