@@ -185,24 +185,19 @@ class Driveline:
         rates = np.sqrt(self.contact_stiffnesses * mobility)
         return np.asarray(np.divide(2.0 * np.pi, rates, out=np.zeros_like(rates), where=rates > 0.0))
 
-    def free_motion(self, *, closed: bool) -> tuple[FloatArray, FloatArray]:
-        """A of y' = A y with all lashes closed or open, and (θ, θ') by y; a closed lash without stiffness is locked."""
+    def modes(self, *, closed: bool) -> Modes:
+        """Natural frequencies and damping ratios with all lashes closed or open; without stiffness they are locked."""
         rigid = closed & (self.contact_stiffnesses == 0.0)
         rates, inputs = chain(self.inertia, *self.matrices(closed=closed), self.load)
         ties = constrained(self.lashes, rigid)
-        rates = locked(rates, inputs, self.inertia, self.lashes, rigid)[0]
-        return np.asarray(ties.pick @ rates @ ties.expand), ties.expand
-
-    def modes(self, *, closed: bool) -> Modes:
-        """Natural frequencies and damping ratios with all lashes closed or open."""
-        rates, angles = self.free_motion(closed=closed)
-        every, vectors = np.linalg.eig(rates)
+        rates, _ = locked(rates, inputs, self.inertia, self.lashes, rigid)
+        every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
         rounding = 1e-7 * np.abs(every).max()  # a double zero, an undamped drift, is found to half the digits
         order = np.argsort(np.abs(every))
         order = order[every[order].imag > rounding]
         oscillating, monotone = every[order], every[np.abs(every.imag) <= rounding]
         monotone[np.abs(monotone) <= rounding] = 0.0
-        shapes = np.asarray((angles @ vectors)[: self.inertia.size, order].T, np.complex128)
+        shapes = np.asarray((ties.expand @ vectors)[: self.inertia.size, order].T, np.complex128)
         energy = self.inertia * np.abs(shapes) ** 2
         return Modes(
             frequency=np.abs(oscillating) / (2.0 * np.pi),

@@ -7,7 +7,7 @@ from clunk.core.regimes import Each, System
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
 from clunk.simulation.driveline import Driveline
 from clunk.study.arrays import Floats
-from clunk.study.models import Measure, Part, parts_of
+from clunk.study.models import parts_of
 from clunk.study.study import Study
 
 
@@ -21,25 +21,50 @@ def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Ch
     system, each
         Of them, as in `clunk.core.tile.Batch`.
     """
-    measures, parts = study.measures, parts_of(study)
     n, lashes = system.inertias, line.lashes.shape[-2]
     count, _, size, driven = each.inputs.shape
+    staged = [shaft for shaft, _ in line.staged]
     flows = flows_of(lashes, [shaft for _, shaft in line.staged], len(line.frictions))
-    rows = np.zeros((count, len(flows), OF_LASH * lashes + len(measures), size + driven))
+    rows = np.zeros((count, len(flows), OF_LASH * lashes + len(study.measures), size + driven))
+
+    def set_shaft_torque(row: Floats, k: int, flow: int, active: FlowOf) -> None:
+        """Set (D, Z) to the torque of a shaft in a flow, with what its friction slips or sticks with."""
+        twist, stage = line.shafts[..., k, :], line.in_stages(active.stages)
+        row[:, :n] = stage.shaft_stiffness[..., k, None] * twist
+        row[:, n : 2 * n] = stage.shaft_damping[..., k, None] * twist
+        if k in staged:
+            row[:, size + half_gap_of(lashes) + staged.index(k)] = 1.0  # behind the half gaps
+        behind = OF_FRICTION * len(active.stuck)
+        torque_at, holding = size + driven - behind, each.functionals.shape[-2] - behind
+        for (friction, shares), sticks in zip(line.frictions, active.stuck, strict=True):
+            share = shares[..., k] * np.sign((twist * friction.twist).sum(axis=-1))
+            if sticks:
+                row += share[..., None] * _read(each, flow, holding + HOLDING)
+            else:
+                row[:, torque_at] += share
+            torque_at, holding = torque_at + OF_FRICTION, holding + OF_FRICTION
+
     for flow, active in enumerate(flows):
         for lash, twist in enumerate(np.moveaxis(line.lashes, -2, 0)):
             of_lash = rows[:, flow, OF_LASH * lash :]
             if active.closed[lash]:
                 of_lash[:, CONTACT_TORQUE] = torque_across(line, system, each, flow, lash)
             of_lash[:, CLOSING, n : 2 * n] = twist
-        for m, (quantity, part) in enumerate(zip(measures, parts, strict=True)):
-            row = _row(quantity, part, active, line, system, each, flow, rows[:, flow])
-            rows[:, flow, OF_LASH * lashes + m] = row
+        for m, (measure, part) in enumerate(zip(study.measures, parts_of(study), strict=True), OF_LASH * lashes):
+            row, k = rows[:, flow, m], part.number
+            if measure.quantity == "acceleration":
+                row[:, :size], row[:, size:] = each.rates[:, flow, n + k], each.inputs[:, flow, n + k]
+            elif measure.quantity == "contact torque":
+                row[:] = rows[:, flow, OF_LASH * k + CONTACT_TORQUE]
+            elif measure.quantity == "twist":
+                row[:, :n] = (line.lashes if part.element == "lash" else line.shafts)[..., k, :]
+            else:
+                set_shaft_torque(row, k, flow, active)
     pressed = 0.0 if system.impulsive else 1.0
     return Channels(
         *tabulate(each, rows, system),
         of_impacts=int(bool(study.impacts.quantities)),
-        swings=np.array([measure.reduce == "peak-to-peak" for measure in measures], np.int64),
+        swings=np.array([measure.reduce == "peak-to-peak" for measure in study.measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
         contact_damping=pressed * np.atleast_2d(line.contact_dampings),
         passed=each.passed,
@@ -62,43 +87,3 @@ def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: 
 def _read(each: Each, flow: int, functional: int) -> Floats:
     """(D, Z) a functional of a flow, by state and inputs."""
     return np.concatenate([each.functionals[:, flow, functional], each.feedthrough[:, flow, functional]], axis=-1)
-
-
-def _row(
-    measure: Measure,
-    part: Part,
-    active: FlowOf,
-    line: Driveline,
-    system: System,
-    each: Each,
-    flow: int,
-    channels: Floats,
-) -> Floats:
-    """(D, Z) what a measure is of, by state and inputs in a flow whose first channels are those of the lashes."""
-    n, k, (count, _, size, driven) = system.inertias, part.number, each.inputs.shape
-    if measure.quantity == "acceleration":
-        return np.concatenate([each.rates[:, flow, n + k], each.inputs[:, flow, n + k]], axis=-1)
-    if measure.quantity == "contact torque":
-        torque: Floats = channels[:, OF_LASH * k + CONTACT_TORQUE]
-        return torque
-    row, twists = np.zeros((count, size + driven)), line.lashes if part.element == "lash" else line.shafts
-    twist = twists[..., k, :]
-    if measure.quantity == "twist":
-        row[:, :n] = twist
-        return row
-    stage = line.in_stages(active.stages)
-    row[:, :n] = stage.shaft_stiffness[..., k, None] * twist
-    row[:, n : 2 * n] = stage.shaft_damping[..., k, None] * twist
-    staged = [shaft for shaft, _ in line.staged]
-    if k in staged:
-        row[:, size + half_gap_of(system.lashes.shape[0]) + staged.index(k)] = 1.0  # behind the half gaps
-    behind = OF_FRICTION * len(active.stuck)
-    torque_at, holding = row.shape[-1] - behind, each.functionals.shape[-2] - behind
-    for (friction, shares), sticks in zip(line.frictions, active.stuck, strict=True):
-        share = shares[..., k] * np.sign((twist * friction.twist).sum(axis=-1))
-        if sticks:
-            row += share[..., None] * _read(each, flow, holding + HOLDING)
-        else:
-            row[:, torque_at] += share
-        torque_at, holding = torque_at + OF_FRICTION, holding + OF_FRICTION
-    return row

@@ -37,18 +37,11 @@ def make(tolerance: float):
     stiffness, damping = driveline.contact_stiffnesses[0], driveline.contact_dampings[0]
     contact = in_contact * (stiffness * gap + damping * gap_speed) - preload
 
+    dampers, springs = driveline.matrices(closed=False)
     system = list(zip(angles, speeds, strict=True))
     for k, inertia in enumerate(driveline.inertia):
-        terms = [
-            -driveline.matrices(closed=False)[1][k, m] / inertia * angles[m]
-            for m in range(n)
-            if driveline.matrices(closed=False)[1][k, m]
-        ]
-        terms += [
-            -driveline.matrices(closed=False)[0][k, m] / inertia * speeds[m]
-            for m in range(n)
-            if driveline.matrices(closed=False)[0][k, m]
-        ]
+        terms = [-springs[k, m] / inertia * angles[m] for m in range(n) if springs[k, m]]
+        terms += [-dampers[k, m] / inertia * speeds[m] for m in range(n) if dampers[k, m]]
         if driveline.load[k]:
             terms.append(torque / inertia)
         if driveline.lashes[0][k]:

@@ -24,12 +24,10 @@ def make(**options):
     half_gaps, angles_at_rest, sides = events_table.preload(study, driveline)
 
     def rates(closed):
-        coupling = closed * np.outer(lash, lash)
-        stiffness = driveline.matrices(closed=False)[1] + driveline.contact_stiffnesses[0] * coupling
-        damping = driveline.matrices(closed=False)[0] + driveline.contact_dampings[0] * coupling
+        damping, stiffness = driveline.matrices(closed=closed)
         return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / inertia[:, None], -damping / inertia[:, None]]])
 
-    opened, closed = rates(0.0), rates(1.0)
+    opened, closed = rates(False), rates(True)
     drive = np.concatenate([np.zeros(n), driveline.load * load_step(study.load).after / inertia])
     push = np.concatenate([np.zeros(n), driveline.contact_stiffnesses[0] * lash / inertia])
 
