@@ -147,8 +147,7 @@ def _measure(
         for j in range(n):
             x[j] = output.states[k, e, j]
         if channels.of_impacts != 0 and event.lash >= 0:
-            _begin_impact(event, output.impacts, room)
-            _add_event(system, channels, driveline, event, room)
+            _add_event(system, channels, driveline, event, output.impacts, room)
         time, end = event.time, system.end_time[0]
         if e + 1 < written:
             end = events[e + 1].time
@@ -174,19 +173,17 @@ def _measure(
 
 
 @part
-def _begin_impact(event: Any, impacts: npt.NDArray[np.void], room: Room) -> None:
-    """Begin the values of a lash's next primary impact where an event of the lash is that."""
-    following = room.row[event.lash] + 1
-    is_next = event.kind == TOUCH and following < room.first[event.lash + 1]
-    if is_next and impacts[following].time == event.time:
-        torque = OF_LASH * event.lash + CONTACT_TORQUE
-        room.row[event.lash], room.low[torque], room.high[torque] = following, 0.0, 0.0
+def _add_event(
+    system: System, channels: Channels, driveline: int, event: Any, impacts: npt.NDArray[np.void], room: Room
+) -> None:
+    """Begin the values of an impact where an event is that, and add what events pass on or take at once.
 
-
-@part
-def _add_event(system: System, channels: Channels, driveline: int, event: Any, room: Room) -> None:
-    """Add to the lashes' impacts what an event passes on or takes at once; an impulse passes through others."""
+    An impulse passes through other lashes too.
+    """
     lash, row, first, x = event.lash, room.row, room.first, room.z
+    following, torque = row[lash] + 1, OF_LASH * lash + CONTACT_TORQUE
+    if event.kind == TOUCH and following < first[lash + 1] and impacts[following].time == event.time:
+        row[lash], room.low[torque], room.high[torque] = following, 0.0, 0.0
     if system.impulsive != 0:
         if event.kind == TOUCH:
             after, passed = 0.0, channels.passed[driveline, held_with(system, event.regime, lash), lash]

@@ -218,6 +218,16 @@ def lash_of(system: System, regime: int, guard: int) -> int:
     return int(system.guards[regime, guard].lash)
 
 
+@part
+def guard_of(system: System, regime: int, functional: int, sign: float) -> int:
+    """The guard of a regime that is a functional of this sign and an offset, or -1."""
+    for g in range(system.regimes[regime].guards):
+        guard = system.guards[regime, g]
+        if guard.functional == functional and guard.sign == sign:
+            return g
+    return -1
+
+
 @inlined_part
 def opened(system: System, regime: int, lash: int) -> int:
     """The regime that differs in that a lash is open."""

@@ -17,12 +17,13 @@ from clunk.core.regimes import (
     System,
     frictions_of,
     gap_input,
+    guard_of,
     lash_of,
     lashes_of,
     opened,
 )
 from clunk.core.runs import Entry, Log, record
-from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE
+from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -135,12 +136,8 @@ def held_with(system: System, regime: int, lash: int) -> int:
 
 @inlined_part
 def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
-    """The guard of a regime that is the gap of a lash to one of its flanks."""
-    for g in range(system.regimes[regime].guards):
-        guard = system.guards[regime, g]
-        if lash_of(system, regime, g) == lash and guard.event_kind == TOUCH and guard.side == side:
-            return g
-    return -1
+    """The guard of a regime that is the gap of an open lash to one of its flanks."""
+    return guard_of(system, regime, lash * system.functionals_per_lash + GAP, float(-side))
 
 
 @part

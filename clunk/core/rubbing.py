@@ -24,6 +24,7 @@ from clunk.core.regimes import (
     System,
     frictions_of,
     gap_input,
+    guard_of,
     input_of_friction,
     inputs_of,
     lashes_of,
@@ -91,7 +92,7 @@ def settle(
         Its guard, of a friction, that is zero, and how many of the guard's derivatives are, itself included; -1 and 0
         without any.
     """
-    count, event, resting, locked = frictions_of(system), -1, 0, 0
+    count, event, resting, sticking, locked = frictions_of(system), -1, 0, 0, 0
     for k in range(count):
         if ended >= 0 and system.guards[regime, ended].functional - rate_of_friction(system, k) in (0, 1):
             event = k
@@ -99,11 +100,13 @@ def settle(
         rate, most = _rate(system, system.frictions[k], 0.0, x)
         _, speeds_up = change_of(system, regime, system.frictions[k], x, inputs)
         most += speeds_up * time  # no rate is known better than its time
-        rests = k == event or state_of_friction(system, regime, k) == STICKS or abs(rate) <= _WITHIN * most
-        resting |= rests << k
+        sticks = state_of_friction(system, regime, k) == STICKS
+        rests = k == event or sticks or abs(rate) <= _WITHIN * most
+        resting, sticking = resting | rests << k, sticking | sticks << k
     for lash in range(lashes_of(system) if system.impulsive != 0 else 0):  # one without a gap has always a flank
         locked |= (system.contacts[resting_on, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
-    if ended < 0 and _holds(system, regime, resting_on, locked, time, x, inputs):
+    may_stay = ended < 0 and system.excess[system.regimes[regime].flow] == 0
+    if may_stay and _misfits(system, regime, resting_on, locked, sticking, time, x, inputs) <= _WITHIN:
         return regime, -1, 0
     failed = regime if ended >= 0 and event < 0 else -1
     best = _fitting(system, resting_on, failed, event, resting, locked, time, x, inputs)
@@ -120,7 +123,7 @@ def settle(
             clearly = abs(speeds_up) > _WITHIN * size
             sets_off = clearly or way * _jerk(system, best, k, x, inputs) > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
-                zero_guard, zero_order = _guard_of(system, best, k), 1 if clearly else 2
+                zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             elif not clearly:
                 fastest = _rate(system, system.frictions[k], 0.0, x)[1] + _MOMENT * size
                 _set_off(system, k, _KICK * way * fastest, x)
@@ -128,18 +131,25 @@ def settle(
 
 
 @part
-def _holds(
-    system: System, regime: int, resting_on: int, locked: int, time: float, x: FloatArray, inputs: FloatArray
-) -> bool:
-    """Whether all that is locked or sticks in a regime may stay so."""
-    holds = bool(system.excess[system.regimes[regime].flow] == 0)
+def _misfits(
+    system: System,
+    regime: int,
+    before: int,
+    locked: int,
+    resting: int,
+    time: float,
+    x: FloatArray,
+    inputs: FloatArray,
+) -> float:
+    """By how much some lashes and frictions at rest, as bits, miss their states in a regime, in sum; as `_misfit`."""
+    misfit = 0.0
     for lash in range(lashes_of(system)):
         if locked >> lash & 1:
-            holds = holds and _misfit_of_flanks(system, regime, resting_on, lash, time, x, inputs) <= _WITHIN
+            misfit += _misfit_of_flanks(system, regime, before, lash, time, x, inputs)
     for k in range(frictions_of(system)):
-        if state_of_friction(system, regime, k) == STICKS:
-            holds = holds and _misfit(system, regime, k, x, inputs) <= _WITHIN
-    return holds
+        if resting >> k & 1:
+            misfit += _misfit(system, regime, k, x, inputs)
+    return misfit
 
 
 @part
@@ -186,13 +196,7 @@ def _fitting(
                 stays = states == (STICKS, STICKS)
             if stays or system.excess[system.regimes[candidate].flow] != 0:
                 continue
-            misfit = 0.0
-            for lash in range(lashes_of(system)):
-                if locked >> lash & 1:
-                    misfit += _misfit_of_flanks(system, candidate, regime, lash, time, x, inputs)
-            for k in range(count):
-                if resting >> k & 1:
-                    misfit += _misfit(system, candidate, k, x, inputs)
+            misfit = _misfits(system, candidate, regime, locked, resting, time, x, inputs)
             if misfit < least:
                 least, best = misfit, candidate
         closed = (closed - 1) & locked if closed > 0 else -1
@@ -351,16 +355,6 @@ def is_carried(system: System, regime: int, lash: int, x: FloatArray, inputs: Fl
     rate, most = _rate(system, system.lashes[lash], 0.0, x)
     held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
     return bool(frictions_of(system) > 0 and held and rests and abs(rate) <= _WITHIN * most)
-
-
-@part
-def _guard_of(system: System, regime: int, friction: int) -> int:
-    """The guard of a friction that slips."""
-    rate = rate_of_friction(system, friction)
-    for g in range(system.regimes[regime].guards):
-        if system.guards[regime, g].functional == rate:
-            return g
-    return -1
 
 
 @part

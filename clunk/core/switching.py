@@ -10,7 +10,7 @@ from clunk.core import rigid, rubbing
 from clunk.core.events import LOAD_STEP, STAGE, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
-from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of, turn_back
+from clunk.core.regimes import System, frictions_of, gap_input, guard_of, inputs_of, lash_of, lashes_of, turn_back
 from clunk.core.runs import Entry, Log, Start, begin_wave, record, set_gaps, set_torque
 from clunk.core.status import Status
 from clunk.core.tables import BEYOND, INPUTS, OPEN, TORQUE
@@ -200,9 +200,7 @@ def after_rubbing(system: System, entry: Entry, time: float, x: FloatArray, inpu
     settled = rigid.settle(system, entry.regime, -1, -1, time, x, inputs, log, entry.written)
     if entry.zero_guard < 0:
         return settled
-    zero, before = -1, system.guards[entry.regime, entry.zero_guard]
-    for g in range(system.regimes[settled.regime].guards):  # an open lash has more of them than a closed one
-        guard = system.guards[settled.regime, g]
-        if guard.functional == before.functional and guard.sign == before.sign:
-            zero = g
+    before = system.guards[entry.regime, entry.zero_guard]
+    # its number is another one there: an open lash has more guards than a closed one
+    zero = guard_of(system, settled.regime, before.functional, before.sign)
     return Entry(settled.written, settled.regime, zero, entry.zero_order)

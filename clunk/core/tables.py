@@ -345,10 +345,10 @@ def build_tables(lashes: Sequence[Lash], staged: Sequence[StagedShaft], friction
 
 
 def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
-    numbers = combinations([len(element.states) for element in elements])
+    chosen = combinations([len(element.states) for element in elements])
     strides = _strides([len(element.states) for element in elements])
     flow_strides = _strides([1 + max(state.flow for state in element.states) for element in elements])
-    states = [[element.states[i] for element, i in zip(elements, number, strict=True)] for number in numbers]
+    states = [[element.states[i] for element, i in zip(elements, number, strict=True)] for number in chosen]
     rows = [
         [(e, guard) for e, state in enumerate(active) for guard in state.guards]
         + [(e, guard) for e, state in enumerate(active) for guard in state.watched]
@@ -356,9 +356,9 @@ def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
     ]
     most = max(map(len, rows))
     regimes, contacts = np.zeros(len(states), REGIME), np.zeros((len(states), lashes), CONTACT)
-    batch = max((np.shape(guard.offset) for row in rows for _, guard in row), default=())
+    numbers = [guard.offset for row in rows for _, guard in row] + [state.weight for row in states for state in row]
+    batch = max(map(np.shape, numbers))
     guards, offsets = np.zeros((len(states), most), GUARD), np.zeros((*batch, len(states), most, inputs))
-    batch = max((np.shape(state.weight) for active in states for state in active), default=())
     weights = np.ones((*batch, len(states), inputs))
     groups: dict[tuple[Any, ...], int] = {}  # what makes a group -> its number
     leaders = []
@@ -380,7 +380,7 @@ def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
         for g, (e, guard) in enumerate(rows[k]):
             element, successor, zero_guard = elements[e], -1, -1
             if guard.successor >= 0:
-                successor = k + int(strides[e]) * (guard.successor - numbers[k][e])
+                successor = k + int(strides[e]) * (guard.successor - chosen[k][e])
                 if guard.zero_guard >= 0:
                     zero_guard = sum(len(state.guards) for state in active[:e]) + guard.zero_guard
             side = (sides[e] or (1 if guard.successor == CLOSED_POSITIVE else -1)) if element.lash >= 0 else 0

@@ -8,8 +8,9 @@ import numpy as np
 from clunk.core.batches import UnlikeError
 from clunk.core.exact.flows import Flows
 from clunk.core.regimes import Each
+from clunk.core.rk4.propagator import build_steps
 from clunk.core.tile import Batch, batch_of
-from clunk.simulation.driveline import Driveline, build, prepare, with_steps
+from clunk.simulation.driveline import Driveline, build, prepare
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
 from clunk.study.designs import refuse_points
@@ -116,4 +117,4 @@ def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]
     for k in range(len(each.rates)):
         first = system._replace(**{name: array[k] for name, array in each._asdict().items()})
         step = study.solver.step if steps is None else float(steps[k])
-        yield np.array([k]), batch_of(*with_steps(first, step), channels and channels.at([k]))
+        yield np.array([k]), batch_of(*build_steps(first, step), channels and channels.at([k]))

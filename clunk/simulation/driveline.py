@@ -217,13 +217,7 @@ def prepare(study: Study, driveline: Driveline | None = None) -> tuple[System, S
     if study.solver.method == "exact":
         system = build(study, driveline, ramps=True)
         return system, _flows(study, driveline, system)
-    return with_steps(build(study, driveline), study.solver.step)
-
-
-def with_steps(system: System, step: float) -> tuple[System, Steps]:
-    """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s."""
-    steps = build_steps(system, step)
-    return (system if steps.stable else system._replace(status=int(Status.UNSTABLE_STEP))), steps
+    return build_steps(build(study, driveline), study.solver.step)
 
 
 def explained(study: Study, status: Status) -> str:

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from clunk.core.reductions import constrained, with_wave, without_drift
 from clunk.core.regimes import System
+from clunk.core.status import Status
 from clunk.core.tables import ACCELERATION, held_inputs
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,7 +25,6 @@ class Steps(NamedTuple):
     """RK4's tables for one system; N states, I inputs, F functionals, L flows."""
 
     step: float  # s
-    stable: int  # whether RK4 is, with this step
     # one full step, x -> (x, outputs); outputs are each functional's value and its Taylor terms of order 2, 3, 4 over
     # the next step, times BEND
     transfer: FloatArray  # (L, columns, rows)  rows contiguous
@@ -42,12 +42,14 @@ class Steps(NamedTuple):
     rest_functional: FloatArray  # (L, F, I)
 
 
-def build_steps(system: System, step: float) -> Steps:
-    """The tables of RK4 with a step of `step` s."""
+def build_steps(system: System, step: float) -> tuple[System, Steps]:
+    """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s."""
     stable, *bound = _modal_bound(system, step)
     rates, functionals = _rolling_apart(system)
     propagator = _propagator(rates, system.inputs, functionals, system.feedthrough, step)
-    return Steps(step, stable, *propagator, *bound)
+    if not stable:
+        system = system._replace(status=int(Status.UNSTABLE_STEP))
+    return system, Steps(step, *propagator, *bound)
 
 
 def _rolling_apart(system: System) -> tuple[FloatArray, FloatArray]:
@@ -176,4 +178,4 @@ def _modal_bound(system: System, step: float) -> tuple[Any, ...]:
         rest_functional[flow] = functionals[flow] @ rest_state[flow, :states] + feedthrough[flow]
     if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
         rest_functional[:, ACCELERATION : lashes * system.functionals_per_lash : system.functionals_per_lash] = 0.0
-    return int(stable), provable, mode_rows, mode_reach, rest_state, rest_functional
+    return stable, provable, mode_rows, mode_reach, rest_state, rest_functional
