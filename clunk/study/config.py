@@ -32,7 +32,7 @@ from clunk.study.loads import PROFILES, STEP_KEYS, TORQUES, read_trace, uses
 from clunk.study.parameters import Names, complaint, names_of, place_of
 from clunk.study.rules import doubts
 from clunk.study.study import Study
-from clunk.study.tables import Finding
+from clunk.study.tables import OTHER_UNITS, Finding
 
 # Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
 _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (
@@ -185,12 +185,9 @@ def _read_preset(name: str) -> dict[str, Any]:
 
 
 def _unknown_name(place: Place, names: Names) -> str:
-    noun, listed_names = ("lash", names.lashes) if place[0] == "lash" else ("inertia", names.inertias)
-    if place[:2] == ("driveline", "shafts"):
-        noun, listed_names = "shaft", names.shafts
-    known = [name for name in listed_names if name is not None]
-    listed = listing([shorten(name) for name in known[:8]])
-    return f"no {noun} has this name; {f'the names are {listed}' if known else 'none has a name'}"
+    around = next(dotted(place[:k]) for k, step in enumerate(place) if str(step).startswith("["))
+    known = [shorten(name) for name in names.get(around, ()) if name is not None]
+    return f"{around} has no item of this name; {f'the names are {listing(known[:8])}' if known else 'none has a name'}"
 
 
 def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str, Any]) -> None:
@@ -201,10 +198,7 @@ def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str
     shafts, of_preset = items_of(value_at(raw, ("driveline", "shafts"))), preset["driveline"]["shafts"]
     topology = (("driveline", "inertias"), ("lash", "between"), ("lash", 0))
     if 0 < len(shafts) < len(of_preset) and all(value_at(raw, place) is None for place in topology):
-        listed = (
-            "one [[driveline.shafts]] replaces" if len(shafts) == 1 else f"{len(shafts)} [[driveline.shafts]] replace"
-        )
-        text = f"the file's {listed} all {len(of_preset)} shafts of preset {shorten(name)}"
+        text = f"the file's [[driveline.shafts]] replace all {len(of_preset)} shafts of preset {shorten(name)}"
         hint = "--set 'driveline.shafts[1].stiffness=900', for example, changes one of them"
         warnings.warn(f"{text}; {hint}", ClunkWarning, stacklevel=4)
 
@@ -225,11 +219,9 @@ def _displace(document: dict[str, Any], place: Place, value: Any = None, kept: C
 def _alternatives(place: Place) -> list[str]:
     """Names of the keys beside a key that may be given instead of it."""
     *table, name = place
-    at, around = tuple(step for step in table if isinstance(step, str)), key_at(tuple(table))
+    at = tuple(step for step in table if isinstance(step, str))
     pairs = [pair for pattern, pair in _ALTERNATIVES if pattern == at]
-    for each in around.children if around else ():
-        key = key_at((*table, each))
-        pairs += [((each,), (key.other_unit_of,))] if key and key.other_unit_of else []
+    pairs += [((one,), (other,)) for one, other in OTHER_UNITS.items()]
     return [other for pair in pairs for one, two in (pair, pair[::-1]) if name in one for other in two]
 
 
@@ -331,7 +323,7 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
             first = next(iter(items_of(entry.get("values"))), entry.get("start"))
             is_fit = isinstance(first, int | float) and not isinstance(first, bool) and key.allows(first)
             assign(document, place, first if is_fit and not key.whole else 1)
-    names, ends = names_of(document).inertias, items_of(value_at(document, ("lash", "between")))
+    names, ends = names_of(document)["driveline.inertias"], items_of(value_at(document, ("lash", "between")))
     inertias = [end for end in ends if type(end) is int or (isinstance(end, str) and end in names)]
     if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
         document["impacts"].setdefault("acceleration_of", inertias[0] if inertias else 1)

@@ -37,7 +37,6 @@ class Key:
     lowest, highest : bounds of a number, which it may reach unless `above` says otherwise
     above : whether the lowest bound itself is excluded
     not_zero : whether zero is excluded
-    other_unit_of : the key beside it that takes its number over, if it is another unit of one
     """
 
     must_be: str
@@ -49,7 +48,6 @@ class Key:
     highest: float = math.inf
     above: bool = False
     not_zero: bool = False
-    other_unit_of: str = ""
 
     def allows(self, value: float) -> bool:
         """Whether a number lies within the bounds."""
@@ -158,7 +156,6 @@ def _leaf(node: Mapping[str, Any]) -> Key:
         highest=highest,
         above=above,
         not_zero=not_zero,
-        other_unit_of=node.get("other_unit_of", ""),
     )
 
 

@@ -25,7 +25,6 @@ from clunk.study.tables import (
     NotNegative,
     NotZero,
     OneOrSeveral,
-    OtherUnit,
     Positive,
     Quantity,
     Table,
@@ -80,7 +79,7 @@ class Shaft(Table):
     stiffness_per_deg: Annotated[
         Annotated[Annotated[NotNegative, Tag(ONE)] | Annotated[tuple[NotNegative, ...], Tag(SEVERAL)], OneOrSeveral]
         | None,
-        OtherUnit("stiffness", "N m/degree"),
+        Field(json_schema_extra={"unit": "N m/degree"}),
     ] = None
     breakpoints_deg: (
         Annotated[
@@ -177,7 +176,7 @@ class Lash(Table):
     between: Ends
     ratio: Annotated[NotZero, Quantity("gear ratio at the lash", "i", "1")] = 1.0
     backlash_deg: Annotated[float, Field(ge=0, le=360), Quantity("backlash", "φθ", "degrees")]
-    gap_mm: Annotated[NotNegative | None, OtherUnit("backlash_deg", "mm")] = None
+    gap_mm: Annotated[NotNegative | None, Field(json_schema_extra={"unit": "mm"})] = None
     radius: Annotated[Positive, Quantity("radius of the flanks", "r", "m")]
     contact: Contact
 

@@ -7,24 +7,19 @@ Neither are the ends of shafts and lashes: another topology is another study.
 
 import functools
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from clunk.study.document import Place, dotted, items_of, parse_place, value_at
 from clunk.study.errors import ConfigError, Problem, nearest, shorten
 from clunk.study.keys import ITEM, Key, key_at, keys
 from clunk.study.models import Config, lash_name
-from clunk.study.tables import Quantity
+from clunk.study.tables import OTHER_UNITS, Quantity
 
 _NAMED_ITEMS = 100  # of a list, among which a misspelt parameter is looked for
 
 
-class Names(NamedTuple):
-    """Names by which items of a config's lists go: of its inertias, its lashes and its shafts."""
-
-    inertias: tuple[Any, ...] = ()
-    lashes: tuple[Any, ...] = ()
-    shafts: tuple[Any, ...] = ()
+Names = Mapping[str, Sequence[Any]]  # of the items of driveline.inertias, driveline.shafts and lash
 
 
 def place_of(parameter: str, names: Names) -> Place | None:
@@ -32,25 +27,26 @@ def place_of(parameter: str, names: Names) -> Place | None:
 
     The only lash may be numbered or named, too: ``lash[1].radius`` is then ``lash.radius``.
     """
-    place = parse_place(parameter)
-    for k, step in enumerate(place or ()):
+    place = parse_place(parameter) or ()
+    for k, step in enumerate(place):
         if isinstance(step, str) and step.startswith("["):
-            assert place is not None
-            of_lists = {"driveline.inertias": names.inertias, "driveline.shafts": names.shafts, "lash": names.lashes}
-            listed = of_lists.get(dotted(place[:k]), ())
+            listed = names.get(dotted(place[:k]), ())
             if step[1:-1] not in listed:
                 return None
             place = (*place[:k], listed.index(step[1:-1]), *place[k + 1 :])
-    return ("lash", *place[2:]) if place is not None and place[:2] == ("lash", 0) and len(names.lashes) == 1 else place
+    is_only_lash = place[:2] == ("lash", 0) and len(names.get("lash", ())) == 1
+    return ("lash", *place[2:]) if is_only_lash else place or None
 
 
 def names_of(document: Mapping[str, Any]) -> Names:
-    """The names of a document's inertias, lashes and shafts."""
-    lash = document.get("lash")
-    names = (value_at(each, ("name",)) for each in (lash if isinstance(lash, list | tuple) else (lash,)))
-    inertias = items_of(value_at(document, ("driveline", "names")))
-    shafts = (value_at(each, ("name",)) for each in items_of(value_at(document, ("driveline", "shafts"))))
-    return Names(tuple(inertias), tuple(lash_name(k, name) for k, name in enumerate(names)), tuple(shafts))
+    """The names of a document's inertias, shafts and lashes."""
+    lashes = items_of(document.get("lash")) or (document.get("lash"),)
+    shafts = items_of(value_at(document, ("driveline", "shafts")))
+    return {
+        "driveline.inertias": items_of(value_at(document, ("driveline", "names"))),
+        "driveline.shafts": [value_at(shaft, ("name",)) for shaft in shafts],
+        "lash": [lash_name(k, value_at(lash, ("name",))) for k, lash in enumerate(lashes)],
+    }
 
 
 def parameters(document: Mapping[str, Any]) -> list[str]:
@@ -86,21 +82,18 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
         if items_of(value_at(document, place)):
             return f"{parameter} has {len(items_of(value_at(document, place)))} stages; name one, {parameter}[1]"
         return None
-    if place is not None and key is not None and key.other_unit_of:
-        instead = dotted((*place[:-1], key.other_unit_of))
+    if place is not None and place[-1] in OTHER_UNITS:
+        instead = dotted((*place[:-1], OTHER_UNITS[str(place[-1])]))
         return f"{parameter} cannot be swept; sweep {instead} instead, which it becomes"
     known = parameters(document)
     leaf = parameter.rsplit(".", 1)[-1]
     same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]
-    in_use = [name for name in same_leaf if value_at(document, place_of(name, Names()) or ()) is not None]
+    in_use = [name for name in same_leaf if value_at(document, place_of(name, {}) or ()) is not None]
     likely = next(iter(in_use or same_leaf), nearest(parameter, known))
     hint = f"; did you mean {shorten(likely)}?" if likely else "; a key such as load.ratio or driveline.inertias[4] can"
     if key is not None:
         return f"{shorten(parameter)} is no quantity that can be swept{hint}"
     return f"the config has no key {shorten(parameter)}{'' if likely else ' that can be swept'}{hint}"
-
-
-_place_of = functools.lru_cache(maxsize=1024)(place_of)
 
 
 def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
@@ -111,8 +104,9 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     ConfigError
         Where there is no such parameter.
     """
-    shafts = tuple(shaft.name for shaft in config.driveline.shafts)
-    place = _place_of(parameter, Names(config.driveline.names or (), config.lash_names, shafts))
+    shafts, inertias = [shaft.name for shaft in config.driveline.shafts], config.driveline.names or ()
+    names = {"driveline.inertias": inertias, "driveline.shafts": shafts, "lash": config.lash_names}
+    place = place_of(parameter, names)
     key = None if place is None else key_at(place)
     value: Any = config if key is not None and key.quantity is not None else None
     for step in place or ():
@@ -162,7 +156,7 @@ def quantity(parameter: str) -> Quantity:
     ConfigError
         Where there is no such parameter.
     """
-    place = place_of(parameter, Names())
+    place = place_of(parameter, {})
     key = None if place is None else key_at(place)
     if place is None or key is None or key.quantity is None:
         raise _refusal(parameter, complaint(parameter, {"driveline": {"inertias": [1.0], "shafts": [{}]}}))

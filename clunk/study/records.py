@@ -150,44 +150,36 @@ def value_lines(rows: Iterable[tuple[str, str]], width: int = WIDTH) -> Iterator
 def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterator[str]:
     """Rows as columns two blanks apart, indented by two; numbers to the right. A row may have a name before it.
 
-    What a dictionary in a row has takes columns of its own or, where they find no room, a line under the row. Rows that
-    are too wide for columns all the same are told one after the other.
+    Rows that are too wide for columns are told one after the other.
     """
     shown = rows[:most]
-    texts, beneath = columns_of(shown), [""] * len(shown)
-    if _width(texts) > width:
-        texts = columns_of(shown, spread=False)
-        beneath = [f"at {_joined(at)}" if at else "" for at in map(_place, shown)]
-    if _width(texts) > width:  # too wide for columns
+    texts = columns_of(shown)
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    if 2 * len(widths) + sum(widths) > width:
         for row in shown:
             named = [(each.heading, words(value, each)) for each, value in _entries(row) if not _is_empty(value)]
             yield fill(", ".join(f"{heading} {text}".lstrip() for heading, text in named), "  ", "    ", width)
     else:
-        widths = [max(len(row[k]) for row in texts) for k in range(len(texts[0]))]
-        right = [all(_is_number(row[k]) for row in texts[1:]) for k in range(len(widths))]
-        for line, below in zip(texts, ["", *beneath], strict=True):
-            cells = (
-                f"{cell:{'>' if is_right else '<'}{wide}}"
-                for cell, wide, is_right in zip(line, widths, right, strict=True)
-            )
+        right = [all(map(_is_number, column)) for column in zip(*texts[1:], strict=True)]
+        for line in texts:
+            columns = zip(line, widths, right, strict=True)
+            cells = (f"{cell:{'>' if is_right else '<'}{wide}}" for cell, wide, is_right in columns)
             yield ("  " + "  ".join(cells)).rstrip()
-            if below:
-                yield fill(below, "    ", "       ", width)
     if len(rows) > len(shown):
         yield f"  and {len(rows) - len(shown):,} more"
 
 
-def columns_of(rows: Sequence[Row], spread: bool = True) -> list[list[str]]:
-    """Texts of a table, the headings first; spread : whether what a dictionary in a row has takes columns."""
+def columns_of(rows: Sequence[Row]) -> list[list[str]]:
+    """Texts of a table, the headings first; what a dictionary in a row has takes columns of its own."""
     texts: list[dict[str, str]] = []
     for row in rows:
         cells: dict[str, str] = {}
         for each, value in _entries(row):
-            if not isinstance(value, Mapping):
+            if isinstance(value, Mapping):
+                cells |= {key: words(inner, each) for key, inner in value.items()}
+            else:
                 head = f"{each.heading} [{each.unit}]" if each.unit else each.heading
                 cells[head] = words(value, Told(form=each.form))
-            elif spread:
-                cells |= {key: words(inner, each) for key, inner in value.items()}
         texts.append(cells)
     heads = list(dict.fromkeys(head for cells in texts for head in cells))
     return [heads, *([cells.get(head, "") for head in heads] for cells in texts)]
@@ -236,15 +228,6 @@ def _entries(row: Row) -> list[tuple[Told, Any]]:
     return [(Told(key), value) for key, value in row.items()]
 
 
-def _place(row: Row) -> Mapping[str, Any]:
-    """The first dictionary in a row."""
-    return next((value for _, value in _entries(row) if isinstance(value, Mapping)), {})
-
-
-def _width(texts: list[list[str]]) -> int:
-    return 2 * len(texts[0]) + sum(max(len(row[k]) for row in texts) for k in range(len(texts[0])))
-
-
 def _is_number(text: str) -> bool:
     return text in ("", "-") or text.lstrip("+-")[:1].isdigit()
 
@@ -268,11 +251,9 @@ def _is_block(value: Any) -> bool:
 
 
 def as_text(heading: str, rows: Rows) -> str:
-    """A heading and a line for each row, none longer than a terminal is wide."""
-    width = max((len(name) for name, _ in rows), default=0)
-    return "\n".join(
-        [f"<{cut(heading, WIDTH - 2)}>", *(cut(f"  {name:<{width}}  {text}", WIDTH) for name, text in rows)]
-    )
+    """A heading and a line for each row."""
+    lines = "\n".join(value_lines(rows, WIDTH - 2))
+    return f"<{cut(heading, WIDTH - 2)}>\n{textwrap.indent(lines, '  ')}"
 
 
 def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:

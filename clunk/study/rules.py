@@ -361,7 +361,7 @@ def _of_searches(config: Config) -> Iterator[Reach]:
 
 LARGEST_RADIUS = 10.0  # m; the gears of mills and radio telescopes have some meters
 DEEPEST = 6.28  # rad, a whole turn, of flanks pressed together by the load: of gears it is some 1e-3
-LEAST_CHANGE = 0.05  # of the change of a load, that a run should see
+LONGEST_CHANGE = 20.0  # times the run, that a load may take to change: less than 5 % of it are seen then
 
 
 def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
@@ -388,13 +388,10 @@ def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
             others = listing(users, "or")
             yield f"load.{key} is given, but a load of profile {shorten(load.profile)} has none; {others} would use it"
     times = {"load.duration", "load.time_constant", "load.times", "solver.end_time"}
-    if not times & {key.partition("[")[0] for key in swept}:
-        share = _share_of_change(load, config.solver.end_time)
-        if share < LEAST_CHANGE:
-            yield (
-                f"only {100.0 * share:.2g} % of the change of the load come before solver.end_time = "
-                f"{config.solver.end_time:g} s; times are in seconds"
-            )
+    time, end = _time_of_change(load), config.solver.end_time
+    if time > LONGEST_CHANGE * end and not times & {key.partition("[")[0] for key in swept}:
+        ends = f"a run ends after {end:g} s (solver.end_time)"
+        yield f"the load takes {time:g} s to change, and {ends}; times are in seconds"
 
 
 def _largest_torque(load: Load) -> float:
@@ -406,15 +403,9 @@ def _largest_torque(load: Load) -> float:
     return max(abs(load.initial_torque or 0.0), abs(load.final_torque or 0.0))
 
 
-def _share_of_change(load: Load, end_time: float) -> float:
-    """The share of a load's change from its first torque that comes before the end; 1 where that cannot be said."""
-    if load.profile in ("ramp", "smooth") and load.duration:
-        return min(1.0, end_time / load.duration)
-    if load.profile == "lag" and load.time_constant:
-        return -math.expm1(-end_time / load.time_constant)
-    if load.profile != "table" or not load.torques or not load.times:
-        return 1.0
-    changes = [abs(torque - load.torques[0]) for torque in load.torques]
-    within = [change for time, change in zip(load.times, changes, strict=True) if time <= end_time]
-    within.append(float(np.interp(end_time, load.times, changes)))
-    return max(within) / max(changes) if any(changes) else 1.0
+def _time_of_change(load: Load) -> float:
+    """Time by which a load changes, or begins to where it is a table  [s]; 0 of a profile that has none."""
+    if load.profile == "table" and load.times and load.torques:
+        points = zip(load.times, load.torques, strict=True)
+        return next((time for time, torque in points if torque != load.torques[0]), 0.0)
+    return {"ramp": load.duration, "smooth": load.duration, "lag": load.time_constant}.get(load.profile) or 0.0

@@ -27,6 +27,7 @@ Finding = tuple[Place, str]  # a place, and what is wrong there
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_DRAWS = 1_000_000  # of a sample
 LARGEST_SIZE = 1e30  # of positive numbers, and the smallest is its inverse
+OTHER_UNITS = {"gap_mm": "backlash_deg", "stiffness_per_deg": "stiffness"}  # keys, and those that they become
 ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
 
 
@@ -68,21 +69,6 @@ class Quantity:
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
         """JSON Schema of the key, with its quantity as further keywords."""
         return {**handler(core_schema), "quantity": self.name, "symbol": self.symbol, "unit": self.unit}
-
-
-@dataclass(frozen=True)
-class OtherUnit:
-    """Another unit of a key beside it, which takes the number over when a config is read.
-
-    key, unit : of that key, e.g. ``backlash_deg``, and of this one, ``mm``
-    """
-
-    key: str
-    unit: str
-
-    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
-        """JSON Schema of the key, with the other key and the unit as further keywords."""
-        return {**handler(core_schema), "other_unit_of": self.key, "unit": self.unit}
 
 
 def is_number(value: Any) -> bool:
