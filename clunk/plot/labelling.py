@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
+from PIL import Image
 
 from clunk.plot.layers import Layers, Measured
 from clunk.plot.plane import Codes
@@ -119,32 +120,35 @@ def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float]) ->
 
 
 def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) -> tuple[float, float, float] | None:
-    """The rectangle in the largest part of a mask that may be moved furthest in any direction.
+    """The rectangle within a mask that may grow furthest in all directions.
 
-    is_along : whether it is turned along the part's longer axis of inertia, and else level
+    is_along : whether it is turned along the mask's longer axis of inertia, and else level
 
     Returns its centre, (x, y), and its angle in degrees; None where there is no room.
     """
-    parts, count = ndimage.label(mask)
-    if not count:
+    if not mask.any():
         return None
-    part, angle = parts == 1 + np.argmax(np.bincount(parts.ravel())[1:]), 0.0
+    turned, angle = mask, 0.0
     if is_along:
-        rows, columns = np.nonzero(part)
+        rows, columns = np.nonzero(mask)
         (xx, xy), (_, yy) = np.cov(columns, rows, ddof=0)
         angle = math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy))
-    turned = ndimage.rotate(part.astype(np.uint8), angle, order=0) > 0 if is_along else part
-    # Centres of rectangles that lie in the part as a whole; beyond it there is no room.
-    fits = ndimage.minimum_filter(turned, (height, width), mode="constant")
-    if not fits.any():
+        turned = np.asarray(Image.fromarray(mask).rotate(angle, expand=True))
+    counts = np.pad(turned, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.int32).cumsum(axis=1)  # of pixels below and left
+
+    def centres(margin: int) -> Floats:
+        """Columns and rows (n, 2), from the middle, of the centres of rectangles that have this margin around them."""
+        wide, high = width + 2 * margin, height + 2 * margin
+        upper, lower = counts[high:], counts[:-high]
+        inside = upper[:, wide:] - upper[:, :-wide] - lower[:, wide:] + lower[:, :-wide]
+        corners = np.argwhere(inside == wide * high)[:, ::-1]
+        return corners + 0.5 * (np.array([wide, high]) - turned.shape[::-1])
+
+    margins = bisect(range(max(mask.shape)), False, key=lambda margin: not len(centres(margin)))
+    if not margins:
         return None
-    room = ndimage.distance_transform_edt(np.pad(fits, 1))[1:-1, 1:-1]
-    # Of many places as good, as along a band, the one nearest the part's middle.
-    rows, columns = np.nonzero(room >= 0.93 * room.max())
-    middle = np.argwhere(turned).mean(axis=0)
-    nearest = np.argmin(np.hypot(rows - middle[0], columns - middle[1]))
-    # the filter's window has its centre at this pixel, or half a pixel before it where it is even
-    v = rows[nearest] + 0.5 * (height % 2 - turned.shape[0])
-    u = columns[nearest] + 0.5 * (width % 2 - turned.shape[1])
+    # Of many places as good, as along a band, the one nearest their middle.
+    places = centres(int(0.93 * (margins - 1)))
+    u, v = places[np.argmin(np.hypot(*(places - places.mean(axis=0)).T))]
     c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     return c * u - s * v + 0.5 * mask.shape[1], s * u + c * v + 0.5 * mask.shape[0], angle

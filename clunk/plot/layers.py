@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image, ImageDraw
-from scipy import ndimage
 
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.plane import Codes, View, cell_edges, cells_of, value_text
@@ -64,7 +64,7 @@ class Layers:
     boundaries : Boundaries, if they have been traced: of them those between two regions are drawn
     undecided : bool, shape of `codes`: cells whose margin is below its tolerance, where that makes a difference
     unresolved : (n, axes) places that tracing left open
-    values : float64, shape of `codes`, NaN where a quantity is not known; None of labels
+    values : float64, shape of `codes`, NaN where a quantity is not known; of labels empty
     value_label : name of the values beside an axis or a colour bar
     shaded : whether cells have the colours of their values, in the place of their regions'
     paint : (nx, ny, 3), colours of the cells in the place of the regions', 0 to 255, if there are any
@@ -85,8 +85,8 @@ class Layers:
     boundaries: Boundaries | None
     undecided: Bools
     unresolved: Floats
-    values: Floats | None = None
-    value_label: str = ""
+    values: Floats
+    value_label: str
     shaded: bool = False
     paint: Floats | None = None
     points: tuple[Measured, ...] = ()
@@ -106,8 +106,9 @@ class Layers:
         described, view = quantity_of(quantity, drawn), View.of(drawn, dimensions)
         traced = drawn.boundaries if dimensions else None
         labels = drawn.labels if traced is None else traced.labels
-        values = None if described.type == TEXT else view.arrange(described.of_runs(drawn))
-        if values is not None and np.isnan(values).all():
+        is_label = described.type == TEXT
+        values = np.zeros(0) if is_label else view.arrange(described.of_runs(drawn))
+        if not is_label and np.isnan(values).all():
             why = _WHY_UNDEFINED.get(described.name, "")
             raise PlotError(f"There is no {described.name} to draw: it is not defined in any cell{why}.")
         codes = view.arrange(drawn.sequence)
@@ -133,7 +134,7 @@ class Layers:
             facts=(draws,),
             caveats=tuple(drawn.caveats),
         )
-        if values is None or dimensions == 1:
+        if is_label or dimensions == 1:
             layers = layers._grouped(most)
             return layers._faded(drawn) if isinstance(drawn, ToleranceMap) else layers
         of_labels = [described.of_label(label) for label in labels]
@@ -177,7 +178,8 @@ class Layers:
         present, group = np.unique(numbers, return_inverse=True)
         regions_of = np.array([*group, FAILED_CODE], np.int16)
         codes = regions_of[self.codes]
-        meets = ndimage.maximum_filter(codes, 3) != ndimage.minimum_filter(codes, 3)
+        around = sliding_window_view(np.pad(codes, 1, "edge"), (3,) * codes.ndim).reshape(*codes.shape, -1)
+        meets = np.ptp(around, axis=-1) > 0
         places = tuple(cells_of(axis, at) for axis, at in zip(self.view.axes, self.unresolved.T, strict=True))
         names, colours = zip(*(looks[number] for number in present.tolist()), strict=True)
         return replace(
@@ -255,7 +257,7 @@ class Layers:
         notes = [Note(text(name, f"{100 * share:.2g} %"), colour) for name, colour, share in regions if name in shown]
         if failed := int(np.count_nonzero(self.failed)):
             notes.append(Note(text(FAILED, counted(failed, "cell")), FAILED_FILL))
-        if self.shaded and self.values is not None and (np.isnan(self.values) & ~self.failed).any():
+        if self.shaded and (np.isnan(self.values) & ~self.failed).any():
             why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
             notes.append(Note(why, UNDEFINED))
         if undecided := int(np.count_nonzero(self.undecided)):
@@ -300,9 +302,7 @@ class Layers:
     def codes_at(self, x: Floats, y: Floats) -> Codes:
         """Regions (y, x) at ascending pixels along the axes, of a strip the same at every y."""
         if len(self.view.axes) < 2:
-            edges, codes = self.bands
-            places = np.clip(np.searchsorted(edges, x) - 1, 0, len(codes) - 1)
-            return np.broadcast_to(codes[places], (len(y), len(x)))
+            return np.broadcast_to(self.codes[cells_of(self.view.x, x)], (len(y), len(x)))
         columns, rows = (cells_of(axis, at) for axis, at in zip(self.view.axes, (x, y), strict=True))
         cells: Codes = self.codes[np.ix_(columns, rows)].T
         # A hole is filled by what is in it, which is painted after what is around it.

@@ -234,7 +234,6 @@ def strip(drawn: AnyMap, quantity: str = LABEL) -> Figure:
     """
     layers = replace(Layers.of(drawn, 1, _upward(drawn, quantity)), notes=())
     samples, values, (edges, codes) = layers.view.x.values, layers.values, layers.bands
-    assert values is not None
     figure = new_figure()
     band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
     fills = (*layers.colours, FAILED_FILL)
@@ -275,7 +274,6 @@ def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Fi
         ax.set(**{f"{which}label": axis_label(axis)})
     places = [values for _, values in axes]
     if y is None:
-        assert layers.values is not None
         places.append(layers.values)
         ax.set_ylabel(layers.value_label)
         regimes = Layers.of(results, 0)
@@ -327,7 +325,7 @@ def _axes_of_points(results: Results, names: Sequence[str]) -> list[tuple[Result
 
 def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
     """Colours of a quantity's values; the margin's diverge from zero, a probability's begin at white."""
-    values = np.concatenate([layers.values.ravel() for layers in panels if layers.values is not None])
+    values = np.concatenate([layers.values.ravel() for layers in panels])
     low, high = min(float(np.nanmin(values)), 0.0), float(np.nanmax(values))
     if panels[0].quantity.type == YES_NO:
         return ScalarMappable(colors.Normalize(0.0, 1.0), _PROBABLE)
@@ -344,7 +342,7 @@ def add_bar(figure: Figure, axes: Sequence[Axes], shades: ScalarMappable, layers
 
 def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
     """(nx, ny, 3) colours of the cells, 0 to 255: of their values where these have shades, else of their regions."""
-    if shades is None or layers.values is None:
+    if shades is None:
         return layers.region_colours if layers.paint is None else layers.paint
     cells = np.asarray(shades.to_rgba(layers.values), np.float64)[..., :3] * 255.0
     cells[np.isnan(layers.values)] = list(bytes.fromhex(UNDEFINED[1:]))
@@ -420,7 +418,6 @@ def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> N
 
 def _draw_ridge(ax: Axes, layers: Layers) -> None:
     """Draw where a quantity is largest for each x, if that goes through much of the map."""
-    assert layers.values is not None
     view, ridge = layers.view, ridge_of(layers.values)
     known = np.isfinite(ridge)
     if np.mean(known) >= _LONG:
