@@ -58,6 +58,19 @@ def find_between(ends, h, results):
 
 
 @compiled
+def find_first_zero(c, part, results):
+    crosses, s, _, _, known = taylor.first_zero(c, -1, vectors.load(part, 0))
+    vectors.store(results, 0, s)
+    vectors.store(results, 1, known)
+    return crosses
+
+
+@compiled
+def shift(c, by):
+    taylor.shift(c, vectors.load(by, 0))
+
+
+@compiled
 def cross(c, length, results):
     found, none, s, slope, half = taylor.crossing(c, vectors.load(length, 0), False)
     vectors.store(results, 0, s)
@@ -373,7 +386,9 @@ def test_a_crossing_is_a_zero_of_the_companion_matrix():
             claimed += found[lane]
             if none[lane]:
                 assert exact.size == 0
-            if found[lane]:
+            if found[lane] and series[0] < 0.0:
+                assert s == 0.0
+            elif found[lane]:
                 assert exact.min() == pytest.approx(s, rel=1e-10)
                 slope, half = polyval(s, polyder(series)), polyval(s, polyder(series, 2)) / 2.0
                 assert results[1:, lane] == pytest.approx([slope, half], rel=1e-2, abs=1e-3 * np.abs(series).max())
@@ -405,3 +420,40 @@ def test_a_crossing_is_exact_to_rounding_close_to_a_tangency():
             assert abs(s - results[0, lane]) <= 2e-13 + rounding
             claimed += 1
     assert claimed > 0.8 * 150 * WIDTH
+
+
+def wavy_series(random):
+    """(TERMS, W), of five zeros and no more within (0, 1): simple, or double to 1e-3, 1e-6, or the last bit."""
+    c = np.zeros((TERMS, WIDTH))
+    for lane in range(WIDTH):
+        roots = random.uniform(-0.5, 1.5, 5)
+        roots[1] = roots[0] + random.choice([0.2, 1e-3, 1e-6, 0.0])
+        c[:6, lane] = np.poly(roots)[::-1]
+    return c * np.where(c[0] < 0.0, -1.0, 1.0) * np.where(random.uniform(size=WIDTH) < 0.1, -1.0, 1.0)
+
+
+def test_a_series_is_not_negative_before_its_first_zero_or_as_far_as_is_known():
+    """Checked at many places, to rounding; of a zero the sign behind it too; and a part is left where none is found."""
+    random, crossed, shortened = np.random.default_rng(3), 0, 0
+    for _ in range(1600 // WIDTH):
+        c, part, results = wavy_series(random), random.uniform(0.1, 1.0, WIDTH), np.zeros((2, WIDTH))
+        crosses = holds(find_first_zero(c, part, results))
+        s, known = results
+        rounding = 1e-14 * np.abs(c).sum(axis=0)
+        places = np.linspace(0.0, 1.0, 300)[:, None] * np.where(crosses, s, known)
+        assert np.all(polyval(places, c, tensor=False) >= -rounding - np.where(crosses & (s == 0.0), np.inf, 0.0))
+        assert np.all((known > 0.0) & (known <= part))
+        behind = polyval(s + 1e-6, c, tensor=False)
+        assert np.all((behind < rounding) | ~crosses)
+        assert np.all((c[0] >= 0.0) | (crosses & (s == 0.0)))
+        crossed, shortened = crossed + crosses.sum(), shortened + (~crosses & (known < part)).sum()
+    assert crossed > 400
+    assert shortened > 50
+
+
+def test_a_shifted_series_has_the_values_of_the_other_place():
+    random = np.random.default_rng(4)
+    c, by, s = random.normal(size=(TERMS, WIDTH)), random.uniform(-1.0, 1.0, WIDTH), random.uniform(-1.0, 1.0, WIDTH)
+    expected, scale = polyval(s + by, c, tensor=False), polyval(2.0, np.abs(c), tensor=False)
+    shift(c, by)
+    assert np.all(np.abs(polyval(s, c, tensor=False) - expected) <= 1e-14 * scale)

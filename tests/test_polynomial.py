@@ -1,4 +1,4 @@
-"""A quartic on one step, and polynomials of any degree: detection of a zero, its resolution, the extremes, each alone.
+"""A quartic on one step: detection of a zero, its resolution, the extremes, each alone.
 
 The reference is the companion matrix (numpy.roots). A simple zero that lies at least `APART` from the others is known
 to about 1e-16 / APART^3 of the interval, by that matrix as by the quartic's own rounding; 1e-6 has room for both.
@@ -9,7 +9,6 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from clunk.core.exact.polynomial import derivatives, first_negative_of, sign_changes, turning_points, zero_between
 from clunk.core.rk4.quartic import extremes, first_negative, stationary_points
 
 APART = 1e-3
@@ -110,108 +109,3 @@ def test_the_extremes_of_four_waves_are_found_between_the_ends():
     assert extremes(*shifted, 1.0) == pytest.approx((1.0, -1.0), abs=1e-13)  # terms up to 160 cancel
     points = stationary_points(*shifted[1:], 1.0)
     assert points == pytest.approx(0.5 * (1.0 - np.cos(np.pi * np.array([1, 2, 3]) / 4)), abs=1e-14)
-
-
-# Polynomials of any degree: coefficients in an array, each with room for its zeros.
-
-MANY = st.lists(COEFFICIENT, min_size=2, max_size=9)
-
-
-def room(c):
-    return np.zeros(len(c))
-
-
-def ladder(c):
-    return np.zeros((len(c), len(c)))
-
-
-def extremes_of(c, length):
-    """The largest and the smallest value, by the turning points."""
-    points = room(c)
-    turns = turning_points(c, length, points, ladder(c))
-    values = [derivatives(c, len(c), s)[0] for s in (0.0, length, *points[:turns])]
-    return max(values), min(values)
-
-
-def inner_zeros(c, length):
-    """Zeros in (0, length) at which the polynomial changes sign, by the companion matrix, where those are clear."""
-    roots = np.roots(np.trim_zeros(np.asarray(c)[::-1], "f"))
-    clear = np.abs(roots.imag) > 1e-3
-    real = np.sort(roots.real[~clear])
-    assume(np.all(np.diff(real) > 1e-2))
-    assume(np.all(np.abs(real) > 1e-3))
-    assume(np.all(np.abs(real - length) > 1e-3))
-    return real[(real > 0.0) & (real < length)]
-
-
-@given(MANY, LENGTH)
-def test_sign_changes_are_the_zeros_of_the_companion_matrix_in_order(coefficients, length):
-    c, found = np.array(coefficients), room(coefficients)
-    assume(np.abs(c[1:]).max() > 1e-3)
-    expected = inner_zeros(c, length)
-    count = sign_changes(c, c.size, length, found, ladder(c))
-    assert found[:count] == pytest.approx(expected, abs=1e-6)
-
-
-@given(MANY, LENGTH)
-def test_the_first_crossing_of_any_degree_is_that_of_the_companion_matrix(coefficients, length):
-    c = np.array(coefficients)
-    assume(c[0] > 1e-3)
-    expected = inner_zeros(c, length)
-    s = first_negative_of(c, length, room(c), ladder(c))
-    assert s == pytest.approx(expected[0] if expected.size else -1.0, abs=1e-6)
-
-
-@given(st.floats(0.05, 0.95), st.floats(0.01, 3.0), st.sampled_from([0.0, 1e-6, 1e-10, -1e-6, -1e-10]))
-def test_a_double_zero_is_crossed_only_if_lowered(touch, factor, above):
-    """(s - a)² (1 + b s) + m: its zeros are at about a ± sqrt(-m), or none."""
-    c = np.polynomial.polynomial.polymul([touch**2, -2.0 * touch, 1.0], [1.0, factor])
-    c[0] += above
-    s = first_negative_of(c, 1.0, room(c), ladder(c))
-    if above > 0.0:
-        assert s == -1.0
-    elif above < 0.0:
-        width = np.sqrt(-above / (1.0 + factor * touch))
-        assert s == pytest.approx(touch - width, abs=0.02 * width)
-    else:  # rounding decides
-        assert s == -1.0 or s == pytest.approx(touch, abs=1e-6)
-
-
-@pytest.mark.parametrize("order", range(1, 8))
-def test_a_zero_at_the_start_counts_by_where_it_leads(order):
-    c = np.zeros(8)
-    c[order] = 1.0
-    assert first_negative_of(c, 1.0, room(c), ladder(c)) == -1.0
-    c[order] = -1.0
-    assert (
-        0.0 <= first_negative_of(c, 1.0, room(c), ladder(c)) <= 1e-2
-    )  # one of order k is zero to rounding up to eps^(1/k)
-    assert value(c, first_negative_of(c, 1.0, room(c), ladder(c))) >= -1e-15
-
-
-@pytest.mark.parametrize("degree", range(2, 8))
-def test_chebyshev_waves_have_all_their_extremes_and_zeros(degree):
-    """T_n on [0, 1]: n zeros, and n + 1 extremes of ±1, whose terms reach 1e5 and cancel."""
-    shifted = np.polynomial.chebyshev.Chebyshev.basis(degree, domain=[0.0, 1.0])
-    c = shifted.convert(kind=np.polynomial.Polynomial, domain=[-1.0, 1.0]).coef
-    found = room(c)
-    assert sign_changes(c, c.size, 1.0, found, ladder(c)) == degree
-    exact = 0.5 * (1.0 - np.cos(np.pi * (np.arange(degree) + 0.5) / degree))
-    assert found[:degree] == pytest.approx(exact, abs=1e-9)
-    assert extremes_of(c, 1.0) == pytest.approx((1.0, -1.0), abs=1e-15 * np.abs(c).sum())
-    turns = turning_points(c, 1.0, found, ladder(c))
-    assert turns == degree - 1
-    assert found[:turns] == pytest.approx(0.5 * (1.0 - np.cos(np.pi * np.arange(1, degree) / degree)), abs=1e-9)
-
-
-def zero_in_unit(c):
-    """Between 0 and 1."""
-    return zero_between(c, c.size, 0.0, 1.0, derivatives(c, c.size, 0.0)[0], derivatives(c, c.size, 1.0)[0])
-
-
-@given(st.floats(1e-12, 1.0 - 1e-12), st.integers(1, 7), st.floats(0.0, 2.0))
-def test_newton_in_a_bracket_finds_the_zero(zero, power, factor):
-    """(s + 1)^k (1 + b s) less its value at the zero: monotone, steeper and steeper."""
-    c = np.polynomial.polynomial.polymul(np.polynomial.polynomial.polypow([1.0, 1.0], power), [1.0, factor])
-    c[0] -= value(c, zero)
-    assert zero_in_unit(c) == pytest.approx(zero, abs=64 * np.finfo(float).eps * np.abs(c).sum())

@@ -13,8 +13,8 @@ allocate nothing: what calls them makes their room.
 `propagator` (full steps as matrices), `settling` (when a run is over).
 
 `exact`: `run` (a run, and what it does at an event), `step` (propose a span, prove it, or find the event), `search`
-(what is looked for within a step), `curves` (functionals and their bounds), `moving` (along the modes), `taylor` and
-`polynomial` (series over the shortest span), `flows` (the tables of modes), `functionals` (what is read of them: of one
+(what is looked for within a step), `curves` (functionals and their bounds), `moving` (along the modes), `taylor`
+(series over the shortest span), `flows` (the tables of modes), `functionals` (what is read of them: of one
 driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.

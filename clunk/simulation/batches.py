@@ -100,21 +100,15 @@ def _prepare_alike(
 
 
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:
-    """The batches of drivelines with other numbers than a study's: of the exact method as few as there may be."""
+    """The batches of drivelines with other numbers than a study's: of the exact method one."""
     exact, steps = study.solver.method == "exact", line.varied.get(("solver", "step"))
     system, flows = prepare(study, line) if exact else (build(study, line), None)
     each = Each._make(getattr(system, name) for name in Each._fields)
     channels = channels_of(study, line, system, each) if study.measured else None
-    if isinstance(flows, Flows):
-        # one batch has one answer to what a step asks of a flow as a whole
-        answers = np.concatenate([flows.modal, flows.steady], axis=1)
-        _, part_of = np.unique(answers, axis=0, return_inverse=True)
-        batch = Batch(system, each, flows, channels)
-        for part in range(part_of.max() + 1):
-            some = np.flatnonzero(part_of.ravel() == part)
-            yield some, batch.at(some)
-        return
     for k in range(len(each.rates)):
         first = system._replace(**{name: array[k] for name, array in each._asdict().items()})
+        if isinstance(flows, Flows):
+            yield np.arange(len(each.rates)), Batch(first, each, flows, channels)
+            return
         step = study.solver.step if steps is None else float(steps[k])
         yield np.array([k]), batch_of(*build_steps(first, step), channels and channels.at([k]))

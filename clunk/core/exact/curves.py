@@ -186,19 +186,15 @@ def longest(
     spans : of the ladder, 32 or 128
     """
     h, k = shortest, vectors.splat(0.0)
-    blocked = ~_passes(guards, first, stride, count, h, at_most)
-    for octaves in (16, 4, 1):  # the octave, in base 4: three at once, since each takes long to be known
-        if octaves < spans // 4:  # of 16 octaves, or of 64
-            a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
-            one = _passes(guards, first, stride, count, a, at_most)
-            two = _passes(guards, first, stride, count, b, at_most) & one
-            three = _passes(guards, first, stride, count, c, at_most) & two
-            h = vectors.choose(three, c, vectors.choose(two, b, vectors.choose(one, a, h)))
-            step = 2.0 * octaves
-            k += vectors.choose(three, 3.0 * step, vectors.choose(two, 2.0 * step, vectors.choose(one, step, 0.0)))
-    half = h * 1.5
-    passes = _passes(guards, first, stride, count, half, at_most)
-    h, k = vectors.choose(passes, half, h), vectors.choose(passes, k + 1.0, k)
+    blocked, octaves = ~_passes(guards, first, stride, count, h, at_most), spans // 4
+    while octaves > 0:
+        longer = h * float(1 << octaves)
+        passes = _passes(guards, first, stride, count, longer, at_most)
+        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * octaves, k)
+        octaves //= 2
+    longer = h * 1.5
+    passes = _passes(guards, first, stride, count, longer, at_most)
+    h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k)
     return h, vectors.choose(blocked, -1.0, k)
 
 

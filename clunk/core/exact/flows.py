@@ -95,10 +95,6 @@ class Chain(NamedTuple):
     shift: FloatArray
     rigid: FloatArray
 
-    def of(self, drivelines: IntArray) -> "Chain":
-        """The chains of some drivelines of a batch."""
-        return Chain._make(array[drivelines] for array in self)
-
 
 _DIMENSIONS = (1, 2, 2, 2, 2, 2, 2)  # of the arrays of a chain of one driveline
 
@@ -115,7 +111,8 @@ def build_flows(
 ) -> Flows:
     """Tables of each flow; the arrays are those of `regimes.System`, of one driveline or of a batch.
 
-    Of a batch all tables have an axis more in front. The bits of a driveline do not depend on its batch.
+    Of a batch all tables have an axis more in front. The bits of a driveline do not depend on its batch, which has one
+    `modal` and one `steady` for each flow: raises UnlikeError where drivelines differ in more than numbers.
 
     drift : (2n, 0 to 2) float64, of `regimes.System`
     spans : SPANS or MORE_SPANS
@@ -190,19 +187,7 @@ class _Scaled(NamedTuple):
 
 
 def _fill(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> None:
-    """Tables of one flow of D drivelines, (D, …); what they differ in but for numbers, they are divided by."""
-    try:
-        _fill_alike(tables, matrices, chain, held)
-    except UnlikeError as unlike:
-        for part in unlike.parts:
-            some = Flows._make(np.zeros_like(table[part]) for table in tables)
-            _fill(some, _Matrices(*(array[part] for array in matrices)), chain.of(part), held)
-            for table, filled in zip(tables, some, strict=True):
-                table[part] = filled
-
-
-def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> None:
-    """`_fill` of drivelines that are alike; the coordinates that a chain has fewer than the tables stay zero."""
+    """Tables of one flow of D drivelines, (D, …); the coordinates that a chain has fewer than the tables stay zero."""
     rates, inputs, functionals, feedthrough = matrices
     scaled, unforced = _scale(chain), chain.shift.shape[-2]  # states but for a wave's
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
@@ -214,7 +199,9 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     tables.origin_output[:] = _outputs(functionals[:, None, :, :unforced], origin, chain)
     tables.origin_output[:, 0] += feedthrough
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
-    tables.steady[:] = ~_outputs(functionals[..., :unforced], back[..., scaled.drift], chain).any(axis=(-2, -1))
+    tables.steady[:] = alike(
+        ~_outputs(functionals[..., :unforced], back[..., scaled.drift], chain).any(axis=(-2, -1)), 0
+    )
 
     modes = _modes(scaled)
     if modes is None:

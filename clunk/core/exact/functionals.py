@@ -19,16 +19,6 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @part
-def note_drivelines(space: Workspace, flow: int, items_per_run: int) -> None:
-    """Write each lane's driveline to `space.drivelines`, and its shortest span of a flow to `space.shortest`."""
-    vectors.stay_apart()
-    for lane in range(WIDTH):
-        driveline = space.runs[space.pool.items[lane] // items_per_run].driveline
-        space.drivelines[lane] = driveline
-        space.shortest[flow, lane] = space.flows.span[driveline, flow, 0]
-
-
-@part
 def gather(space: Workspace, table: FloatArray, first: int, count: int, to: FloatArray) -> None:
     """Gather `count` numbers, at least ROW, of a table of each lane's driveline, from `first` on.
 
@@ -45,9 +35,16 @@ def gather(space: Workspace, table: FloatArray, first: int, count: int, to: Floa
 
 
 @part
-def gather_functionals(space: Workspace, flow: int, first: int, count: int) -> None:
-    """Gather some of a flow's functionals, and the origins of all."""
+def gather_tables(space: Workspace, flow: int, first: int, count: int, items_per_run: int) -> None:
+    """Look up the drivelines of the items taken, and gather what is of theirs in a flow.
+
+    That is its shortest span, `count` of its functionals from the first on, and the origins of all.
+    """
     vectors.stay_apart()
+    for lane in range(WIDTH):
+        driveline = space.runs[space.pool.items[lane] // items_per_run].driveline
+        space.drivelines[lane] = driveline
+        space.shortest[flow, lane] = space.flows.span[driveline, flow, 0]
     watch, output = space.flows.watch, space.flows.origin_output
     watched, origins = watch[0, 0, 0].size, output[0, 0].size
     at = (flow * watch.shape[2] + first) * watched

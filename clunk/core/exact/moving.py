@@ -69,7 +69,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     for lane in range(WIDTH):
         space.offsets[lane] = (space.pool.items[lane] if (mask >> lane) & 1 else unused) * size
     for row in range(0, size, ROW):
-        vectors.scatter(space.moved, row, space.state, space.offsets, row)
+        vectors.scatter(space.state, space.offsets, row, space.moved, row)
 
 
 @part

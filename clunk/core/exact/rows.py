@@ -13,7 +13,6 @@ TRY = 3  # s, the longest span that is proposed next
 _FIRST = 4
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
-_CHANGING = 2
 # And those that they do not change. A step reads 8 numbers at a time: a driveline of four inertias has no more than 32.
 MARGIN = 2
 HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the sticking time
@@ -46,25 +45,23 @@ BY_EVENT = 5  # a guard turned negative: RUN's `guard`
 
 @inlined_part
 def changing(lashes: int) -> int:
-    """How many numbers of a run steps change."""
-    return _FIRST + _CHANGING * lashes
+    """How many numbers of a run steps change: up to the last lash's window."""
+    return of_lash(lashes - 1) + MARGIN
 
 
 @inlined_part
-def of_lash(name: int, lash: int, lashes: int) -> int:
-    """Place of a number of one of the lashes."""
-    if name < _CHANGING:
-        return _FIRST + _CHANGING * lash + name
-    return _FIRST + _CHANGING * lashes + (_OF_LASH - _CHANGING) * lash + name - _CHANGING
+def of_lash(lash: int) -> int:
+    """Where the numbers of a lash begin."""
+    return _FIRST + _OF_LASH * lash
 
 
 @inlined_part
 def limit(lashes: int) -> int:
     """Place of LIMIT."""
-    return _FIRST + _OF_LASH * lashes
+    return of_lash(lashes)
 
 
 @inlined_part
 def shift(guard: int, lashes: int) -> int:
     """Place of a guard's SHIFT."""
-    return _FIRST + _OF_LASH * lashes + 1 + guard
+    return of_lash(lashes) + 1 + guard

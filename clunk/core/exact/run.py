@@ -26,10 +26,9 @@ from clunk.core.exact.step import take_step
 from clunk.core.exact.workspace import (
     GRAZING,
     Workspace,
+    lash_at,
     log_of,
-    number_of,
     set_field,
-    set_number_of,
     system_at,
     system_of,
 )
@@ -70,14 +69,13 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(lashes_of(system)):
-        play = space.plays[slot, lash]
+        play, own = space.plays[slot, lash], space.numbers[slot, lash_at(space, lash) :]
         play.last_side = system.contacts[start.regime, lash].side
         play.contact_began, play.from_sticking = -np.inf, 0
         space.fastest[slot, lash] = 0.0
-        set_number_of(space, slot, rows.MARGIN, lash, MOST)
+        own[rows.MARGIN] = MOST
         # no acceleration counts before the first primary impact
-        set_number_of(space, slot, rows.WINDOW_MAX, lash, np.inf)
-        set_number_of(space, slot, rows.WINDOW_MIN, lash, -np.inf)
+        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = np.inf, -np.inf
     _set_rest(space, slot, start)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
@@ -110,14 +108,14 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         space.numbers[slot, space.inputs_at + k] = system.weights[regime, k] * inputs[k]
     for lash in range(lashes_of(system)):
         contact, play = system.contacts[regime, lash], space.plays[slot, lash]
+        own = space.numbers[slot, lash_at(space, lash) :]
         held_from = play.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
         scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * play.static
-        set_number_of(space, slot, rows.HELD_FROM, lash, held_from if contact.closed != 0 else -np.inf)
-        set_number_of(space, slot, rows.SIDE, lash, -1.0 if mirrored else 1.0)
-        set_number_of(space, slot, rows.SCALE, lash, scale)
-        play.window_max = number_of(space, slot, rows.WINDOW_MAX, lash)
-        play.window_min = number_of(space, slot, rows.WINDOW_MIN, lash)
+        own[rows.HELD_FROM] = held_from if contact.closed != 0 else -np.inf
+        own[rows.SIDE] = -1.0 if mirrored else 1.0
+        own[rows.SCALE] = scale
+        play.window_max, play.window_min = own[rows.WINDOW_MAX], own[rows.WINDOW_MIN]
     for n in range(entered.watched):
         shift = weigh(system.offsets[regime, n], inputs, inputs_of(system))
         numbers[rows.shift(n, lashes_of(system))] = shift
@@ -142,8 +140,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             count, group = take(pool, queue, space.numbers), queue % space.system.leaders.size
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
             if space.mixed != 0:
-                functionals.note_drivelines(space, flow, 1)
-                functionals.gather_functionals(space, flow, 0, space.flows.watch.shape[2])
+                functionals.gather_tables(space, flow, 0, space.flows.watch.shape[2], 1)
             if queue >= queues.enter:  # and take the first step at once
                 _enter_coordinates(space, flow, count)
                 short = space.flows.modal[0, flow] == 0
@@ -152,8 +149,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             count = take(pool, queue, space.searches)
             flow, functional = divmod(queue - queues.search, space.flows.watch.shape[2])
             if space.mixed != 0:
-                functionals.note_drivelines(space, flow, space.searches_each)
-                functionals.gather_functionals(space, flow, functional, 1)
+                functionals.gather_tables(space, flow, functional, 1, space.searches_each)
             conclude(space, queue, count, search(space, flow, functional, count))
         for k in range(pool.length[queues.follow]):
             _follow(space, pool.waiting[queues.follow, k])
@@ -215,7 +211,8 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
             space.held[lash, 0], space.held[lash, 1], _ = holding_torque(system, row.regime, lash, x, inputs)
     _enter(space, slot, time, x, entry)
     for lash in range(lashes if system.impulsive != 0 else 0):
-        contact, scale = system.contacts[row.regime, lash], number_of(space, slot, rows.SCALE, lash)
+        contact, own = system.contacts[row.regime, lash], space.numbers[slot, lash_at(space, lash) :]
+        scale = own[rows.SCALE]
         if contact.closed == 0 or not scale > 0.0:
             continue
         torque, slope = space.held[lash, 0], space.held[lash, 1]
@@ -224,8 +221,8 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
         falls = contact.side * slope < 0.0 or jump < -rounding
         rises = contact.side * slope_after > 0.0 or jump > rounding
         least = min(contact.side * torque, contact.side * torque_after) / scale
-        if falls and rises and 0.0 <= least < abs(number_of(space, slot, rows.MARGIN, lash)):
-            set_number_of(space, slot, rows.MARGIN, lash, least)
+        if falls and rises and 0.0 <= least < abs(own[rows.MARGIN]):
+            own[rows.MARGIN] = least
 
 
 @inlined_part
@@ -234,7 +231,7 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     row = space.runs[slot]
     row.status, row.time = status, time
     for lash in range(lashes_of(space.system)):
-        space.margins[slot, lash] = number_of(space, slot, rows.MARGIN, lash)
+        space.margins[slot, lash] = space.numbers[slot, lash_at(space, lash) + rows.MARGIN]
     _close_phase(space, slot)
     push(space.pool, space.queues.over, slot)
 
@@ -244,17 +241,17 @@ def _close_phase(space: Workspace, slot: int) -> None:
     """Write the extremes of the accelerations in the windows so far to the event that began a run's phase."""
     last = space.runs[slot].count - 1
     for lash in range(lashes_of(space.system)):
-        space.extremes[slot, last, lash, 0] = number_of(space, slot, rows.WINDOW_MAX, lash)
-        space.extremes[slot, last, lash, 1] = number_of(space, slot, rows.WINDOW_MIN, lash)
+        own = space.numbers[slot, lash_at(space, lash) :]
+        space.extremes[slot, last, lash, 0] = own[rows.WINDOW_MAX]
+        space.extremes[slot, last, lash, 1] = own[rows.WINDOW_MIN]
 
 
 @inlined_part
 def _forget_phase(space: Workspace, slot: int) -> None:
     """Forget the extremes of a phase that lasted no time."""
     for lash in range(lashes_of(space.system)):
-        play = space.plays[slot, lash]
-        set_number_of(space, slot, rows.WINDOW_MAX, lash, play.window_max)
-        set_number_of(space, slot, rows.WINDOW_MIN, lash, play.window_min)
+        play, own = space.plays[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = play.window_max, play.window_min
 
 
 @inlined_part
@@ -300,8 +297,8 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
         if event.kind == TOUCH:
             if event.side != play.last_side or play.from_sticking != 0:
                 # a primary impact, by the rule of `sequence.find_primaries`: its window is empty, anything counts
-                set_number_of(space, slot, rows.WINDOW_MAX, lash, -np.inf)
-                set_number_of(space, slot, rows.WINDOW_MIN, lash, np.inf)
+                own = space.numbers[slot, lash_at(space, lash) :]
+                own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = -np.inf, np.inf
             play.last_side, play.contact_began, play.from_sticking = event.side, event.time, 0
         elif event.kind == LOCK:
             play.contact_began = event.time
@@ -316,7 +313,8 @@ def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> Non
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
     if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
         return
-    play, margin = space.plays[slot, lash], number_of(space, slot, rows.MARGIN, lash)
+    play, own = space.plays[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+    margin = own[rows.MARGIN]
     age, sticking_time = time - play.contact_began, system.sticking_time[lash]
     if guard.event_kind == SEPARATION and abs(age - sticking_time) < abs(margin) * sticking_time:
         margin = 1.0 - age / sticking_time
@@ -325,7 +323,7 @@ def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> Non
         overlap = max(_overlap(system, lash, guard.side, x, space.inputs[slot]), 0.0)
         if overlap / play.static < abs(margin):
             margin = overlap / play.static
-    set_number_of(space, slot, rows.MARGIN, lash, margin)
+    own[rows.MARGIN] = margin
 
 
 @part

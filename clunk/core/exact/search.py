@@ -10,26 +10,26 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact import curves, functionals, moving, polynomial, rows, taylor
-from clunk.core.exact.flows import TERMS
+from clunk.core.exact import curves, functionals, moving, rows, taylor
 from clunk.core.exact.workspace import (
     GRAZING,
     Workspace,
     field,
     is_still,
-    number_of,
+    lash_at,
     set_field,
-    set_number_of,
     shortest_span,
 )
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
-from clunk.core.lanes.vectors import WIDTH, Vector
+from clunk.core.lanes.vectors import Vector
 from clunk.core.regimes import lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
 
 FloatArray = npt.NDArray[np.float64]
+
+_NARROWEST = 2.0**-16  # of the shortest span: two turns within that differ by less than rounding
 
 
 class _Known(NamedTuple):
@@ -133,50 +133,26 @@ def _search_series(
         The lanes that end with the first turn, and have found it.
     """
     c, top, bottom = space.series, known.top, known.bottom
-    falls, length = vectors.load(c, 1) < 0.0, vectors.smaller(time_left / shortest, vectors.splat(1.0))
-    done = near & known.once & ~falls
+    left = vectors.smaller(time_left / shortest, vectors.splat(1.0))
+    done = near & known.once & ~(vectors.load(c, 1) < 0.0)
     near &= ~done
-    turns, straight, s = taylor.turning(c, space.moved, length)
-    value, _, _ = taylor.derivatives(c, s)
-    unclear = near & ~turns & ~straight
-    turns &= near & (time_left - s * shortest <= field(space, rows.COUNTS))
-    top = vectors.choose(turns & ~falls, vectors.larger(value, top), top)
-    bottom = vectors.choose(turns & falls, vectors.smaller(value, bottom), bottom)
-    done |= turns & known.once
-    if unclear != 0:
-        notes = space.notes
-        vectors.store(notes, 0, (top, bottom, length, known.idle / shortest))
-        done |= _search_one_by_one(space, unclear, known.once)
-        top, bottom = vectors.load(notes, 0), vectors.load(notes, 1)
+    begin, width = 0.0 * left, left
+    while near != 0:  # several times only where the series may turn more than once
+        falls = vectors.load(c, 1) < 0.0
+        turns, straight, s = taylor.turning(c, space.moved, width)
+        value, _, _ = taylor.derivatives(c, s)
+        passes = turns | straight | (width <= _NARROWEST)
+        counts = near & turns & (time_left - (begin + s) * shortest <= field(space, rows.COUNTS))
+        top = vectors.choose(counts & ~falls, vectors.larger(value, top), top)
+        bottom = vectors.choose(counts & falls, vectors.smaller(value, bottom), bottom)
+        done |= counts & known.once
+        passed = vectors.choose(passes, width, 0.0)
+        begin += passed
+        near &= ~done & (begin < left)
+        if near != 0:
+            taylor.shift(c, passed)
+            width = vectors.smaller(vectors.choose(passes, 2.0 * width, 0.5 * width), left - begin)
     return top, bottom, done
-
-
-@part
-def _search_one_by_one(space: Workspace, mask: int, once: int) -> int:
-    """Search all turning points of some lanes' series; TOP and BOTTOM are in the first two notes.
-
-    The third one says up to where, the fourth from where on a turn counts. Returns the lanes that end with the first
-    turn, and have found it.
-    """
-    notes, c, points, done = space.notes, space.alone[0], space.alone[1], 0
-    while mask != 0:
-        lane = vectors.first_of(mask)
-        mask &= mask - 1
-        for j in range(TERMS):
-            c[j] = vectors.number(space.series, j * WIDTH + lane)
-        falls = c[1] < 0.0
-        for k in range(polynomial.turning_points(c, notes[2, lane], points, space.ladder)):
-            value, _, _ = polynomial.derivatives(c, TERMS, points[k])
-            if points[k] >= notes[3, lane]:
-                if falls:
-                    notes[1, lane] = min(notes[1, lane], value)
-                else:
-                    notes[0, lane] = max(notes[0, lane], value)
-                if once >> lane & 1:
-                    done |= 1 << lane
-                    break
-            falls = not falls
-    return done
 
 
 @part
@@ -192,16 +168,17 @@ def conclude(space: Workspace, queue: int, count: int, done: int) -> None:
         run = space.runs[slot]
         top, bottom = space.pool.work[space.behind + rows.TOP, lane], space.pool.work[space.behind + rows.BOTTOM, lane]
         if search < lashes:
-            set_number_of(space, slot, rows.WINDOW_MAX, search, top)
-            set_number_of(space, slot, rows.WINDOW_MIN, search, bottom)
+            own = space.numbers[slot, lash_at(space, search) :]
+            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = top, bottom
         else:
             deep = search == space.searches_each - 1
             guard = run.guard if deep else search - lashes
             lash = lash_of(space.system, run.regime, guard)
-            scale = number_of(space, slot, rows.SCALE, lash)
-            if abs(bottom) < abs(number_of(space, slot, rows.MARGIN, lash)) * scale:
+            own = space.numbers[slot, lash_at(space, lash) :]
+            scale = own[rows.SCALE]
+            if abs(bottom) < abs(own[rows.MARGIN]) * scale:
                 margin = (min(bottom, 0.0) if deep else max(bottom, 0.0)) / scale
-                set_number_of(space, slot, rows.MARGIN, lash, margin)
+                own[rows.MARGIN] = margin
                 if not deep and margin <= GRAZING:
                     run.quality |= QUALITY_GRAZING
         run.searches -= 1

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT, OPENING, SEPARATION, TOUCH
-from clunk.core.exact import curves, functionals, moving, polynomial, rows, taylor
+from clunk.core.exact import curves, functionals, moving, rows, taylor
 from clunk.core.exact.curves import load_curve
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.workspace import (
@@ -39,7 +39,7 @@ from clunk.core.exact.workspace import (
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push_all, put_back
-from clunk.core.lanes.vectors import WIDTH, Vector
+from clunk.core.lanes.vectors import Vector
 from clunk.core.regimes import ROUNDING, elements_of, lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.tables import ACCELERATION
@@ -83,10 +83,10 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
     event, ends, lost, grazing, blocked = zero - 1.0, 0, 0, 0, 0
     if short:
-        k, whole, part = zero - 1.0, shortest, vectors.smaller(time_left / shortest, zero + 1.0)
-        ends = (time_left <= shortest) & there
-        event, part, lost, grazing = _find_event(space, regime, there, part)
-        h = whole * part
+        k, left = zero - 1.0, vectors.smaller(time_left / shortest, zero + 1.0)
+        event, part, lost, grazing = _find_event(space, regime, there, left)
+        ends = (time_left <= shortest) & (part == left) & there
+        h = shortest * part
     else:
         h, k, blocked = _propose_span(space, regime, at_most)
         blocked &= there
@@ -298,7 +298,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     Returns
     -------
     event, part : Vector
-        The guard, or -1, and up to which part of the shortest span.
+        The guard, or -1, and up to which part of the shortest span; of a smaller one where no more is known.
     lost, grazing : int
         The lanes where nothing is finite any more, and where a guard all but turned negative.
     """
@@ -321,9 +321,10 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
             noise = vectors.larger(noise, instant)
-        crosses, bad, grazes, s = _first_zero(space, near, order, noise, scale, part)
+        crosses, bad, grazes, s, known = _first_zero(space, near, order, noise, scale, part)
         lost |= bad
         grazing |= grazes
+        event, part = vectors.choose(known < part, -1.0, event), known
         crosses &= (event < 0.0) | (s < part)
         event, part = vectors.choose(crosses, float(n), event), vectors.choose(crosses, s, part)
     return event, part, lost, grazing
@@ -332,7 +333,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
 @inlined_part
 def _first_zero(
     space: Workspace, near: int, order: Vector, noise: Vector, scale: Vector, part: Vector
-) -> tuple[int, int, int, Vector]:
+) -> tuple[int, int, int, Vector, Vector]:
     """The first zero within a part of the shortest span of the guards whose series are `space.series`.
 
     near : the lanes that are concerned
@@ -344,8 +345,8 @@ def _first_zero(
     crosses, lost, grazes : int
         The lanes where a guard turns negative, where nothing is finite, and where it does not turn negative, but turns
         back within GRAZING.
-    s : Vector
-        In shares of the shortest span.
+    s, part : Vector
+        In shares of the shortest span; and up to where it is known that the other guards do not turn negative.
     """
     c = space.series
     start = vectors.load(c, 0)
@@ -360,41 +361,14 @@ def _first_zero(
         for j in range(TERMS - 1):
             vectors.store(c, j, vectors.choose(shifted, vectors.load(c, j + 1), vectors.load(c, j)))
         vectors.store(c, TERMS - 1, vectors.choose(shifted, 0.0, vectors.load(c, TERMS - 1)))
-    crosses, positive, s, fall, half = taylor.crossing(c, part, False)
-    unclear = near & ~crosses & ~positive
-    if unclear != 0:
-        notes = space.notes
-        vectors.store(notes, 0, (s, fall, half, part))
-        crosses |= _first_zeros_one_by_one(space, unclear)
-        s, fall, half = vectors.load(notes, 0), vectors.load(notes, 1), vectors.load(notes, 2)
+    crosses, s, fall, half, part = taylor.first_zero(c, near, part)
     # only where it falls at once can it turn back within rounding
     start = vectors.load(c, 0)
     fall = vectors.choose(order > 0.0, start, fall)
     bend = vectors.choose(order > 0.0, 2.0 * vectors.load(c, 1), 2.0 * half)
     tangent = (s > 0.0) | (order > 0.0) | (start >= -within)
     tangent &= (bend > 0.0) & (order < 2.0) & (fall * fall <= 2.0 * bend * GRAZING * scale)
-    crosses &= near
-    return crosses & ~tangent, lost, crosses & tangent, s
-
-
-@inlined_part
-def _first_zeros_one_by_one(space: Workspace, mask: int) -> int:
-    """Zero, slope and half the curvature of some lanes' series, into the first notes; the lanes that have a zero.
-
-    The fourth of the notes says up to where.
-    """
-    notes, c, crosses = space.notes, space.alone[0], 0
-    while mask != 0:
-        lane = vectors.first_of(mask)
-        mask &= mask - 1
-        for j in range(TERMS):
-            c[j] = vectors.number(space.series, j * WIDTH + lane)
-        root = polynomial.first_negative_of(c, notes[3, lane], space.alone[1], space.ladder)
-        if root >= 0.0:
-            crosses |= 1 << lane
-            notes[0, lane] = root
-            _, notes[1, lane], notes[2, lane] = polynomial.derivatives(c, TERMS, root)
-    return crosses
+    return crosses & ~tangent, lost, crosses & tangent, s, part
 
 
 @inlined_part

@@ -1,7 +1,4 @@
-"""Taylor series over the shortest span, side by side: zeros and turning points where there can be but one.
-
-Elsewhere they are searched one by one, by `polynomial`.
-"""
+"""Taylor series over the shortest span, side by side: their zeros and turning points."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +10,8 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import Table, Vector, fused
 
 FloatArray = npt.NDArray[np.float64]
+
+_HALVINGS = 40  # of a part: what is not known then is a zero at its beginning
 
 
 @part
@@ -65,8 +64,40 @@ def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
 
 
 @part
+def shift(c: FloatArray, by: Vector) -> None:
+    """Expand a series about another place."""
+    for k in range(TERMS - 1):
+        for j in range(TERMS - 2, k - 1, -1):
+            vectors.store(c, j, fused(by, vectors.load(c, j + 1), vectors.load(c, j)))
+
+
+@part
+def first_zero(c: FloatArray, near: int, part: Vector) -> tuple[int, Vector, Vector, Vector, Vector]:
+    """Where series turn negative within a part of the shortest span, halved until it is known whether they do.
+
+    near : the lanes that are concerned
+
+    Returns
+    -------
+    crosses : int
+        The lanes where a series turns negative, first of all, or is at the beginning.
+    s, slope, half : Vector
+        The zero, the slope there, and half the curvature.
+    part : Vector
+        Within which the others stay positive.
+    """
+    for _ in range(_HALVINGS):
+        crosses, positive, s, slope, half = crossing(c, part, False)
+        unclear = near & ~crosses & ~positive
+        if unclear == 0:
+            break
+        part = vectors.choose(unclear, 0.5 * part, part)
+    return crosses & near | unclear, vectors.choose(unclear, 0.0, s), slope, half, part
+
+
+@part
 def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vector, Vector, Vector]:
-    """The first zero of a series that is positive at first, where it falls, or is concave, all the way to it.
+    """The first zero of a series where it falls, or is concave, all the way to it; the beginning of a negative one.
 
     length : at most 1
     only : whether it is to fall, or be concave, all the length, so that there is no other zero
@@ -76,16 +107,17 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
     crosses : int
         The lanes where such a zero is.
     positive : int
-        The lanes where the series stays positive.
+        The lanes where the series is nowhere negative.
     s, slope, half : Vector
         The zero, the slope there, and half the curvature.
     """
     zero = vectors.splat(0.0)
     c0, c1, c2 = vectors.load(c, 0), vectors.load(c, 1), vectors.load(c, 2)
     # of its first three terms
-    root = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, zero))
+    root, negative = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, zero)), c0 < 0.0
     s = vectors.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
-    slope, half, crosses, alive = zero, zero, 0, (c0 > 0.0) & (s >= 0.0)
+    s, slope, half, crosses = vectors.choose(negative, 0.0, s), c1, c2, 0
+    alive = ~negative & (s >= 0.0)
     for _ in range(3):
         alive &= s <= length
         if alive == 0:
@@ -104,12 +136,13 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
     for k in range(TERMS - 1, 1, -1):
         term = vectors.load(c, k)
         up = vectors.larger(term, zero)
-        fall += term - up
+        fall = fused(fall, length, term - up)
         rise = fused(rise, end, float(k) * up)
         if k > 2:
             bend = fused(bend, end, float(k * (k - 1)) * up)
     crosses &= (c1 + rise * end < 0.0) | (2.0 * c2 + bend * end < 0.0)
-    return crosses, c0 + vectors.smaller(c1, zero) + fall > 0.0, s, slope, half
+    least = c0 + length * vectors.smaller(c1 + length * fall, zero)
+    return crosses | negative, least >= 0.0, s, slope, half
 
 
 @part

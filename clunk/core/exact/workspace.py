@@ -17,7 +17,7 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import reference_at, rows_of
-from clunk.core.regimes import Each, System, lashes_of
+from clunk.core.regimes import Each, System
 from clunk.core.runs import Log
 
 FloatArray = npt.NDArray[np.float64]
@@ -116,8 +116,6 @@ class Workspace(NamedTuple):
     lane_state_origins: FloatArray  # (4 I C, W)
     lane_table: FloatArray  # (…, W)  any other
     held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
-    alone: FloatArray  # (2, TERMS)  a series alone, and its zeros
-    ladder: FloatArray  # (TERMS, TERMS)
 
 
 def make_workspace(
@@ -185,8 +183,6 @@ def make_workspace(
         lane_state_origins=aligned(flows.origin[0, 0].size * mixed, WIDTH),
         lane_table=aligned(size * max(size, LONG), WIDTH),
         held=np.zeros((lashes, 2)),
-        alone=np.zeros((2, TERMS)),
-        ladder=np.zeros((TERMS, TERMS)),
     )
 
 
@@ -234,25 +230,19 @@ def set_field(space: Workspace, name: int, values: Vector) -> None:
 @inlined_part
 def field_of(space: Workspace, name: int, lash: int) -> Vector:
     """Load one number of a lash of each of the items that have been taken."""
-    return field(space, rows.of_lash(name, lash, lashes_of(space.system)))
+    return field(space, rows.of_lash(lash) + name)
 
 
 @inlined_part
 def set_field_of(space: Workspace, name: int, lash: int, values: Vector) -> None:
     """Set one number of a lash of each of the items that have been taken."""
-    set_field(space, rows.of_lash(name, lash, lashes_of(space.system)), values)
+    set_field(space, rows.of_lash(lash) + name, values)
 
 
 @inlined_part
-def number_of(space: Workspace, slot: int, name: int, lash: int) -> float:
-    """One number of a lash in a run."""
-    return float(space.numbers[slot, space.behind + rows.of_lash(name, lash, lashes_of(space.system))])
-
-
-@inlined_part
-def set_number_of(space: Workspace, slot: int, name: int, lash: int, value: float) -> None:
-    """Set one number of a lash in a run."""
-    space.numbers[slot, space.behind + rows.of_lash(name, lash, lashes_of(space.system))] = value
+def lash_at(space: Workspace, lash: int) -> int:
+    """Where in a run's row the numbers of a lash begin, which `rows` names."""
+    return space.behind + rows.of_lash(lash)
 
 
 @inlined_part

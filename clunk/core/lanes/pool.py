@@ -93,4 +93,4 @@ def put_back(pool: Pool, array: FloatArray, count: int, mask: int) -> None:
     for lane in range(WIDTH):
         pool.places[lane] = pool.places[lane] if (mask >> lane) & 1 else unused
     for row in range(0, count, ROW):
-        vectors.scatter(pool.work, row, array, pool.places, row)
+        vectors.scatter(array, pool.places, row, pool.work, row)
