@@ -292,8 +292,6 @@ HEADER = "# a comment\nload_ratio,lash_backlash_deg,label\n"
     [
         ("load_ratio,lash_backlash_deg\n1,2\n", 1, "no column named label"),
         ("label\nNI\n", 1, "no column of a parameter"),
-        ("# x\nload_ratoi,label\n1,NI\n", 2, "did you mean load_ratio?"),
-        ("voltage_of_the_sensor,label\n1,NI\n", 1, 'no parameter "voltage_of_the_sensor"'),
         ("load_ratio,load.ratio,label\n1,1,NI\n", 1, "more than one column load_ratio"),
         ("load_ratio;label\n1;NI\n", 1, "separated by commas"),
         (HEADER + "1,2,NI\n\n1,two,NI\n", 5, 'lash_backlash_deg must be a finite number, not "two"'),
@@ -373,7 +371,10 @@ def test_points_outside_or_at_failed_cells_are_reported_and_not_counted() -> Non
 def test_columns_and_axes_must_match() -> None:
     with pytest.raises(ClunkError, match=r"sweep lash\.backlash_deg, and rig\.csv has no column for it"):
         compare_experiment(small(A), measured({(1.0,): "NI"}, ["load_ratio"]))
-    with pytest.raises(ClunkError, match=r"load_step_time of rig\.csv is no axis of the results"):
+    with pytest.raises(
+        ClunkError,
+        match=r"load_step_time.? of rig\.csv is no axis.*sweep load_ratio, lash_",
+    ):
         compare_experiment(small(A), measured({(1.0, 1.0): "NI"}, ["load_ratio", "load_step_time"]))
 
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import clunk
 from clunk.analysis import fitting
-from clunk.analysis.fitted import effective_size, fitted_study, label_of, losses, order_of_events, weights_of
+from clunk.analysis.fitted import effective_size, fitted_study, losses, order_of_events, weights_of
 from clunk.analysis.fitting import MATCH, outlier_misfit, sample
 from clunk.analysis.measurements import Experiment, experiment_of
 from clunk.api import run_points, sweep, tolerance_map
@@ -78,10 +78,10 @@ def test_one_bad_time_costs_its_logarithm_and_no_more() -> None:
 
 def test_a_miss_more_costs_less_where_many_are_missed_and_grows_with_the_distance() -> None:
     fit = Fit.model_validate({"parameters": ({"parameter": "load.ratio", "distribution": "normal", "std": 1.0},)})
-    wanted = np.full(20, 2, np.uint64)
+    wanted = np.full(20, 2)
     matches = np.zeros((21, 20), MATCH)
     for misses in range(21):
-        matches["pattern"][misses] = np.where(np.arange(20) < misses, 3, 2)
+        matches["label"][misses] = np.where(np.arange(20) < misses, 3, 2)
     costs = np.diff(losses(matches, wanted, fit))
     assert costs[0] > 2.0
     assert np.all(np.diff(costs) < 0.0)
@@ -142,6 +142,7 @@ SEVERITY = HEADER + ",impact_severity_1,impact_severity_std\n2,3,SS(1),1,1\n5,6,
         (GAP, SPEED.format(2, 1), "impact_closing_speed_2 is given, and SS(1) has 1 primary impact"),
         (GAP, SPEED.format(1, ""), "without its standard deviation"),
         (GAP, CSV.replace("load_ratio", "load_initial_torque"), "the load is given by"),
+        (GAP, CSV.replace("load_ratio", "load_ratoi"), "did you mean load_ratio?"),
         (GAP.replace("factor", "value"), CSV, "must act on the measured values"),
         (
             PRIOR.format("lash.backlash_deg", "offset", -4.0, 4.0),
@@ -195,7 +196,7 @@ def test_the_fitted_config_has_the_labels_of_the_best_candidate_where_they_were_
     study = fitted_study(fitted)
     assert study.fit is None
     assert study.sweep.axes[1].values == pytest.approx(fitted.estimate[0] * np.array(gaps))
-    computed = [label_of(int(pattern)) for pattern in fitted.estimate_matches["pattern"]]
+    computed = [fitted.labels[code] for code in fitted.estimate_matches["label"]]
     assert sweep(study).label_map.T.ravel().tolist() == computed  # measured with the load ratio first
 
 

@@ -144,9 +144,6 @@ def test_the_command_says_and_writes_quantiles_or_draws(command, here):
     assert [(float(row["quantile"]), float(row["load.duration"])) for row in rows] == [
         (at["quantile"], row["value"]) for at, row in listed
     ]
-    assert command(*words, "--draws", "-o", "d.csv")[0] == 0
-    rows = list(csv.DictReader((here / "d.csv").read_text().splitlines()))
-    assert {float(row["draw"]) for row in rows} == set(range(1, 9))
     assert command(*words, "-o", "t.png")[0] == 0
 
 
@@ -154,11 +151,8 @@ def test_the_command_says_and_writes_quantiles_or_draws(command, here):
     ("tables", "arguments", "message"),
     [
         (DURATION, ("--quantiles", "0.9"), "need [[sweep.tolerances]]"),
-        (DURATION, ("--draws",), "need [[sweep.tolerances]]"),
-        (DURATION + INERTIA, ("--draws", "--quantiles", "0.9"), "give one of the two"),
         (DURATION + INERTIA, ("--quantiles", "0.9,x"), "no list of numbers"),
         (DURATION + INERTIA, ("--quantiles", "0.05"), "from 0.5 to 1"),
-        (DURATION + INERTIA, ("--draws", "-o", "t.png"), "--draws has no picture"),
         (DURATION + FEW + LASH + INERTIA, ("-o", "t.png"), "over one other axis"),
         ("duration = 0.1\n" + INERTIA, (), "the config has no [[sweep.axes]]"),
     ],

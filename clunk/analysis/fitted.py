@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.measurements import Experiment
-from clunk.core.sequence import INITIAL, label
+from clunk.core.sequence import INITIAL
 from clunk.results.labels import FAILED, flanks_of_label
 from clunk.results.maps import Results
-from clunk.study.arrays import Bools, Floats, Patterns, Positions, Records
+from clunk.study.arrays import Bools, Codes, Floats, Positions, Records
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
@@ -30,7 +30,6 @@ from clunk.study.parameters import located, nominal_value
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study, content
 from clunk.study.sweeps import Axis, Draw, Sweep
-from clunk.sweeping.reduction import flanks_of
 from clunk.sweeping.sweep import sweep
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
@@ -94,7 +93,8 @@ class Fitted(Record):
     lash : name of the lash that was measured
     axes : dotted keys of the measured columns
     points : (n, axes) measured values
-    wanted : (n,) patterns of the measured labels
+    labels : of the codes; the last is of failed runs, whose code is -1
+    wanted : (n,) codes of the measured labels
     estimate : (d,) numbers of the best candidate: values, factors or offsets, as the priors draw
     estimate_matches, nominal_matches : (n,) MATCH, of the best candidate and of the config as it is
     coordinates, draws : (N, d) of the ensemble, in which the prior is standard normal, and as the priors draw
@@ -110,7 +110,8 @@ class Fitted(Record):
     lash: str
     axes: tuple[str, ...]
     points: Floats
-    wanted: Patterns
+    labels: tuple[str, ...]
+    wanted: Codes
     estimate: Floats
     estimate_matches: Records
     nominal_matches: Records
@@ -163,21 +164,21 @@ class Fitted(Record):
         """Effective size of the ensemble."""
         return effective_size(self.weights)
 
-    def hits(self, patterns: Patterns) -> int:
-        """Number of measured labels that some patterns, (n,), meet."""
-        return int(np.count_nonzero(patterns == self.wanted))
+    def hits(self, codes: Codes) -> int:
+        """Number of measured labels that some labels, by their codes (n,), meet."""
+        return int(np.count_nonzero(codes == self.wanted))
 
     @property
     @tells("met by the best candidate")
     def met(self) -> int:
         """Number of labels that the best candidate meets."""
-        return self.hits(self.estimate_matches["pattern"])
+        return self.hits(self.estimate_matches["label"])
 
     @property
     @tells("met by the config as it is")
     def met_by_config(self) -> int:
         """Number of labels that the config's own values meet."""
-        return self.hits(self.nominal_matches["pattern"])
+        return self.hits(self.nominal_matches["label"])
 
     @property
     @tells("most probable in the ensemble")
@@ -224,13 +225,12 @@ class Fitted(Record):
             out = groups == group
             weights = weights_of(losses(self.matches, self.wanted, self.fit, ~out), self.log_density)
             effective = min(effective, effective_size(weights))
-            patterns, counts = np.unique(self.wanted[~out], return_counts=True)
-            for at in np.flatnonzero(out):
+            others, counts = np.unique(self.wanted[~out], return_counts=True)
+            for at in np.flatnonzero(out).tolist():
                 distances = (((self.points[~out] - self.points[at]) / spans) ** 2).sum(axis=1)
-                hits["predicted"] += next(iter(probabilities(self.matches["pattern"][:, at], weights))) == label_of(
-                    int(self.wanted[at])
-                )
-                hits["majority"] += int(patterns[counts.argmax()] == self.wanted[at])
+                likely = next(iter(self.probabilities(at, weights)))
+                hits["predicted"] += likely == self.labels[self.wanted[at]]
+                hits["majority"] += int(others[counts.argmax()] == self.wanted[at])
                 hits["nearest"] += int(self.wanted[~out][distances.argmin()] == self.wanted[at])
         return hits | {"effective_draws": effective}
 
@@ -240,15 +240,14 @@ class Fitted(Record):
         """Each measured label."""
         rows = []
         for k, (measurement, match) in enumerate(zip(self.experiment.measurements, self.estimate_matches, strict=True)):
-            patterns, is_met = self.matches["pattern"][:, k], match["pattern"] == self.wanted[k]
             rows.append(
                 Measured(
                     at=dict(zip(self.axes, measurement.values, strict=True)),
                     label=measurement.label,
-                    computed=label_of(int(match["pattern"])),
-                    probabilities=probabilities(patterns, self.weights),
-                    met_by_some=bool((patterns == self.wanted[k]).any()),
-                    reason="" if is_met else reason_of(measurement.label, match, self.axes[match["axis"]]),
+                    computed=self.labels[match["label"]],
+                    probabilities=self.probabilities(k, self.weights),
+                    met_by_some=bool((self.matches["label"][:, k] == self.wanted[k]).any()),
+                    reason=self._reason(self.labels[self.wanted[k]], match),
                 )
             )
         return rows
@@ -258,6 +257,24 @@ class Fitted(Record):
     def missed(self) -> list[Measured]:
         """The labels that the best candidate misses."""
         return [each for each in self.measured if each.reason]
+
+    def probabilities(self, at: int, weights: Floats) -> dict[str, float]:
+        """Probability of each label at a measured point, by its number, the largest first; weights : of the draws."""
+        codes, inverse = np.unique(self.matches["label"][:, at], return_inverse=True)
+        shares = np.bincount(inverse, weights)
+        return {self.labels[codes[k]]: float(shares[k]) for k in np.argsort(-shares, kind="stable")}
+
+    def _reason(self, label: str, match: np.void) -> str:
+        """Sentences on why a run, MATCH, misses a measured label; empty where it does not."""
+        computed, axis = self.labels[match["label"]], self.axes[match["axis"]]
+        if computed == label:
+            return ""
+        if computed == FAILED:
+            return "The run failed."
+        events = order_of_events(flanks_of_label(label), flanks_of_label(computed))
+        if match["change"] == 0.0:
+            return f"{events} No change of a measured value alone brings about the measured label."
+        return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
 
     def intervals(self, shares: Sequence[float] = INTERVAL) -> Floats:
         """(d, shares) quantiles of each parameter in the ensemble."""
@@ -304,7 +321,7 @@ def weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float])
 # --- Weights and predictions ------------------------------------------------------------------------------------------
 
 
-def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = slice(None)) -> Floats:
+def losses(matches: Records, wanted: Codes, fit: Fit, rows: Bools | slice = slice(None)) -> Floats:
     """Minus the logarithm of candidates' likelihood, up to a constant.
 
     A label that is not met costs its distance over the scatter. Besides, labels are wrong with a probability that is
@@ -314,13 +331,13 @@ def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = s
     Parameters
     ----------
     matches : (n, points) MATCH
-    wanted : (points,) uint64, patterns of the measured labels
+    wanted : (points,) codes of the measured labels
     rows : of the measurements that count
     """
     from scipy.special import betaln
 
     matches, wanted = matches[:, rows], wanted[rows]
-    missed = matches["pattern"] != wanted
+    missed = matches["label"] != wanted
     misses, count = missed.sum(axis=1), matches.shape[1]
     wrong, right = _PRIOR_WEIGHT * fit.wrong_labels, _PRIOR_WEIGHT * (1.0 - fit.wrong_labels)
     of_labels = betaln(wrong, count + right) - betaln(misses + wrong, count - misses + right)
@@ -340,29 +357,7 @@ def effective_size(weights: Floats) -> float:
     return float(1.0 / (weights**2).sum())
 
 
-def label_of(pattern: int) -> str:
-    """Label of a pattern."""
-    return label(flanks_of(pattern)) if pattern else FAILED
-
-
-def probabilities(patterns: Patterns, weights: Floats) -> dict[str, float]:
-    """Probability of the label of each pattern, the largest first; patterns, weights : (N,)."""
-    unique, inverse = np.unique(patterns, return_inverse=True)
-    shares = np.bincount(inverse.reshape(-1), weights)
-    return {label_of(int(unique[k])): float(shares[k]) for k in np.argsort(-shares, kind="stable")}
-
-
 # --- Reasons ----------------------------------------------------------------------------------------------------------
-
-
-def reason_of(label: str, match: np.void, axis: str) -> str:
-    """Sentences on why a run, MATCH, misses a measured label; axis : key of the value that was changed."""
-    if match["pattern"] == 0:
-        return "The run failed."
-    events = order_of_events(flanks_of_label(label), flanks_of(int(match["pattern"])))
-    if match["change"] == 0.0:
-        return f"{events} No change of a measured value alone brings about the measured label."
-    return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
 
 
 def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str:

@@ -26,29 +26,27 @@ import numpy as np
 
 from clunk.analysis.fitted import Fitted, effective_size, losses, weights_of
 from clunk.analysis.measurements import Experiment, read_experiment
-from clunk.core.sequence import OPPOSITE
-from clunk.core.status import Status
-from clunk.core.tile import LONGEST_PATTERN
-from clunk.results.labels import flanks_of_label
+from clunk.core.sequence import label
+from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
+from clunk.results.maps import Results
 from clunk.results.quantities import measuring
-from clunk.study.arrays import Array, Floats, Patterns, Positions, Records
+from clunk.study.arrays import Codes, Floats, Positions, Records
 from clunk.study.axes import variable_of
 from clunk.study.document import dotted
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.keys import key_at
 from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.rules import load_complaint
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
-from clunk.sweeping.reduction import flanks_of
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
-# A candidate's run at a measured operating point: the flanks as bits behind a leading 1 (0: failed), the distance to
-# the measured label, the number of the measured value and the signed change of its logarithm that bring this about (0:
-# none does), and the misfit of the impacts' measured quantities.
-MATCH = np.dtype([("pattern", "u8"), ("distance", "f8"), ("axis", "i8"), ("change", "f8"), ("misfit", "f8")])
+# A candidate's run at a measured operating point: the code of its label (-1: failed), the distance to the measured
+# label, the number of the measured value and the signed change of its logarithm that bring this about (0: none does),
+# and the misfit of the impacts' measured quantities.
+MATCH = np.dtype([("label", "i8"), ("distance", "f8"), ("axis", "i8"), ("change", "f8"), ("misfit", "f8")])
 
 _CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, either way
 _TOGETHER = 40_000  # measured values of candidates that are run together, each with all of its changes
@@ -66,7 +64,8 @@ class Candidates:
     progress : called with the number of candidates so far, and the most that there can be
     axes : dotted keys of the measured columns
     points : (n, axes) measured values
-    wanted : (n,) patterns of the measured labels
+    labels : of the codes, first the measured ones
+    wanted : (n,) codes of the measured labels
     coordinates, matches : (N, d), in which the priors are standard normal, and (N, n) MATCH, of all candidates so far
     """
 
@@ -78,11 +77,11 @@ class Candidates:
         self.experiment, self.lash, self._engine, self._progress = experiment, lash, engine, progress
         self.axes = axes_of(study, experiment)
         self.points = np.array([each.values for each in experiment.measurements])
-        self.wanted = np.array([pattern_of(each.label) for each in experiment.measurements], np.uint64)
+        measured = [label(flanks_of_label(each.label)) for each in experiment.measurements]  # as runs have them
+        self.labels = [*dict.fromkeys(measured)]
+        self.wanted = np.array([*map(self.labels.index, measured)])
         self.coordinates = np.zeros((0, len(self.priors)))
         self.matches = np.zeros((0, len(self.points)), MATCH)
-        self._flanks = [flanks_of_label(each.label) for each in experiment.measurements]
-        self._speeds = np.array([each.detection_speed for each in experiment.measurements])
 
     def __call__(self, coordinates: Floats) -> Floats:
         """Run candidates, (n, d) in coordinates; returns their losses, (n,)."""
@@ -120,9 +119,9 @@ class Candidates:
         runner = Runner(study, [*keys], engine=self._engine)  # new: there are too many drivelines to keep
         matches = np.zeros((len(numbers), len(self.points)), MATCH)
         flat, (candidate, point) = matches.reshape(-1), np.indices(matches.shape).reshape(2, -1)
-        flat["pattern"], impacts = self._run(runner, numbers[candidate], point, self.points[point])
-        flat["misfit"] = self._misfits(point, flat["pattern"], impacts)
-        missed = np.flatnonzero(flat["pattern"] != self.wanted[point])
+        flat["label"], results = self._run(runner, numbers[candidate], self.points[point])
+        flat["misfit"] = self._misfits(point, flat["label"], results)
+        missed = np.flatnonzero(flat["label"] != self.wanted[point])
         if missed.size:
             flat[missed] = self._look_around(runner, flat[missed], numbers[candidate[missed]], point[missed])
         return matches
@@ -133,8 +132,8 @@ class Candidates:
         changes = np.vstack([step * axis for axis in np.eye(len(self.axes)) for step in steps])  # (m, axes)
         at = np.repeat(point, len(changes))
         measured = self.points[at] * np.exp(np.tile(changes, (point.size, 1)))
-        patterns, _ = self._run(runner, np.repeat(numbers, len(changes), axis=0), at, measured)
-        edits = self._edits(at, patterns).reshape(point.size, -1)
+        codes, _ = self._run(runner, np.repeat(numbers, len(changes), axis=0), measured)
+        edits = self._edits(self.wanted[at], codes).reshape(point.size, -1)
         sizes = np.abs(changes).sum(axis=1)
         distances = np.where(edits == 0.0, sizes, _CHANGES[-1] + edits)  # no change does: impacts too many or too few
         nearest = distances.argmin(axis=1)
@@ -143,13 +142,10 @@ class Candidates:
         matches["change"] = np.where(met, changes.sum(axis=1)[nearest], 0.0)
         return matches
 
-    def _run(
-        self, runner: Runner, numbers: Floats, point: Positions, measured: Floats
-    ) -> tuple[Patterns, dict[str, Array]]:
-        """Patterns of runs, (m,), and the numbers of their run and measured quantities of all impacts that are seen.
+    def _run(self, runner: Runner, numbers: Floats, measured: Floats) -> tuple[Codes, Results]:
+        """Codes of the labels of runs, (m,), and the runs.
 
         numbers : (m, d) of the candidates
-        point : (m,) numbers of the operating points
         measured : (m, axes)
         """
         values = self.values(numbers, measured)
@@ -159,37 +155,34 @@ class Candidates:
             least = np.nextafter(allowed.lowest, np.inf) if allowed.above else allowed.lowest
             values[key] = np.clip(values[key], least, allowed.highest)
         results = runner(runner.values(values)).of_lash(self.lash)
-        row = np.repeat(np.arange(point.size), results.primary_impacts)
-        seen = results.impact_closing_speed >= self._speeds[point[row]]
-        row, is_opposite = row[seen], results.impact_flank[seen] == OPPOSITE
-        counts = np.bincount(row, minlength=point.size)
-        behind = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(row.size)  # impacts of the run behind each
-        patterns = np.uint64(1) << np.minimum(counts, LONGEST_PATTERN).astype(np.uint64)
-        np.add.at(patterns, row, is_opposite.astype(np.uint64) << np.minimum(behind, 63).astype(np.uint64))
-        patterns[(results.status != Status.OK) | (counts > LONGEST_PATTERN)] = 0
-        names = {name for each in self.experiment.measurements for name in each.impacts}
-        return patterns, {"run": row} | {name: results.values(name)[seen] for name in names}
+        self.labels += [each for each in results.labels if each not in self.labels]
+        codes = np.array([*map(self.labels.index, results.labels), FAILED_CODE])  # of a failed run, -1, the last
+        return codes[results.sequence], results
 
-    def _misfits(self, point: Positions, patterns: Patterns, impacts: dict[str, Array]) -> Floats:
+    def _misfits(self, point: Positions, codes: Codes, results: Results) -> Floats:
         """Misfit of the impacts' quantities in runs: minus the logarithm of their relative likelihood."""
         misfits = np.zeros(point.size)
-        first = np.searchsorted(impacts["run"], np.arange(point.size))
         for at, measurement in enumerate(self.experiment.measurements):
-            for pattern in np.unique(patterns[point == at]).tolist() if measurement.impacts else ():
-                runs = np.flatnonzero((point == at) & (patterns == pattern))
-                partner = partners(self._flanks[at], flanks_of(pattern))
+            for code in np.unique(codes[point == at]).tolist() if measurement.impacts else ():
+                runs = np.flatnonzero((point == at) & (codes == code))
+                partner = partners(flanks_of_label(measurement.label), self._flanks(code))
                 for name, measured in measurement.impacts.items():
                     for number, value in measured.items():
-                        computed = impacts[name][first[runs] + partner[number]] if number in partner else 0.0
+                        computed: Floats | float = 0.0
+                        if number in partner:
+                            computed = results.values(name)[results.first_impact[runs] + partner[number]]
                         misfits[runs] += outlier_misfit((value - computed) / measurement.std[name])
         return misfits
 
-    def _edits(self, point: Positions, patterns: Patterns) -> Floats:
-        """Number of impacts too many or too few of patterns at some points; of a failed run, of all."""
-        pairs, inverse = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
-        sequences = [(self._flanks[at], flanks_of(pattern)) for at, pattern in pairs.T.tolist()]
+    def _edits(self, wanted: Codes, codes: Codes) -> Floats:
+        """Number of impacts too many or too few of runs for some labels; of a failed run, of all."""
+        pairs, inverse = np.unique([wanted, codes], axis=1, return_inverse=True)
+        sequences = [(self._flanks(one), self._flanks(other)) for one, other in pairs.T.tolist()]
         edits = [len(a) + len(b) - 2.0 * len(partners(a, b)) for a, b in sequences]
         return np.array(edits)[inverse.reshape(-1)]
+
+    def _flanks(self, code: int) -> tuple[int, ...]:
+        return () if code == FAILED_CODE else flanks_of_label(self.labels[code])
 
 
 def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
@@ -197,16 +190,9 @@ def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
     known = {variable_of(name): name for name in parameters(study.model_dump(exclude_none=True))}
     for column in experiment.columns:
         if column not in known:
-            raise ClunkError(f"The column {column} of {experiment.name} is no parameter of this config.")
+            hint = f"; did you mean {likely}?" if (likely := nearest(column, known)) else "."
+            raise ClunkError(f"The column {shorten(column)} of {experiment.name} is no parameter of this config{hint}")
     return tuple(dotted(located(study, known[column])[0]) for column in experiment.columns)
-
-
-def pattern_of(label: str) -> int:
-    """Pattern of a label: its flanks as bits behind a leading 1. Raises ClunkError where it has too many."""
-    flanks = flanks_of_label(label)
-    if len(flanks) > LONGEST_PATTERN:
-        raise ClunkError(f"{label} has {len(flanks)} primary impacts; at most {LONGEST_PATTERN} can be fitted.")
-    return int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in flanks), 2)
 
 
 def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]:
@@ -301,6 +287,7 @@ def fit(
         lash=name,
         axes=candidates.axes,
         points=candidates.points,
+        labels=(*candidates.labels, FAILED),
         wanted=candidates.wanted,
         estimate=candidates.numbers(candidates.coordinates[[best]])[0],
         estimate_matches=candidates.matches[best],
@@ -311,7 +298,7 @@ def fit(
         log_density=log_density,
         weights=weights_of(values, log_density),
         candidates=count,
-        failed=int((candidates.matches["pattern"] == 0).any(axis=1).sum()),
+        failed=int((candidates.matches["label"] == FAILED_CODE).any(axis=1).sum()),
     )
 
 

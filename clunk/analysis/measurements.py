@@ -19,15 +19,13 @@ from clunk.results.labels import FAILED, double_sided, flanks_of_label, normalis
 from clunk.results.maps import Results, at_cell, values_at
 from clunk.study.axes import ResultAxis, variable_of
 from clunk.study.document import read_text
-from clunk.study.errors import ClunkError, nearest, shorten
-from clunk.study.parameters import parameters
+from clunk.study.errors import ClunkError, shorten
 from clunk.study.records import SENTENCE, Record, counted, tells, told
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
 
 
 IMPACT_QUANTITIES = ("impact_time", "impact_closing_speed", "impact_severity")  # as in results files
-DETECTION_SPEED = "detection_speed"
 _OF_IMPACTS = re.compile(rf"({'|'.join(IMPACT_QUANTITIES)})_([1-9]\d{{0,2}}|std)")
 
 
@@ -40,7 +38,6 @@ class Measurement:
     label : in clunk's notation, for example DS(1)SS(1)
     impacts : quantity -> its measured values by primary impact from 0, of `IMPACT_QUANTITIES`, in their units
     std : quantity -> standard deviation of its measured values
-    detection_speed : closing speed below which an impact would not have been seen  [rad/s]
     """
 
     line: int
@@ -48,7 +45,6 @@ class Measurement:
     label: str
     impacts: Mapping[str, Mapping[int, float]] = field(default_factory=dict)
     std: Mapping[str, float] = field(default_factory=dict)
-    detection_speed: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,8 +77,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     The first line that is no comment (#) names the columns: one for each parameter, as in a results file
     (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``. There may be measured
     quantities of the primary impacts besides, ``impact_time_1`` and so on (also ``impact_closing_speed_1`` and
-    ``impact_severity_1``), blank where they were not measured, with their standard deviation, ``impact_time_std``, and
-    ``detection_speed``, the closing speed below which an impact would not have been seen.
+    ``impact_severity_1``), blank where they were not measured, with their standard deviation, ``impact_time_std``.
 
     Raises ClunkError where the file cannot be read, with the number of the line that is wrong.
     """
@@ -127,7 +122,7 @@ def _columns(cells: list[str], where: str) -> list[str]:
     """Names of the columns as they are in results files, "label" among them."""
     if len(cells) == 1 and ";" in cells[0]:
         raise ClunkError(f"{where}: columns must be separated by commas, and numbers written with points.")
-    columns = [cell if _is_measured(cell) else _variable(cell, where) for cell in cells]
+    columns = [cell if _is_measured(cell) else variable_of(cell) for cell in cells]
     if "label" not in columns:
         raise ClunkError(f"{where}: there is no column named label.")
     if all(map(_is_measured, columns)):
@@ -140,21 +135,7 @@ def _columns(cells: list[str], where: str) -> list[str]:
 
 def _is_measured(column: str) -> bool:
     """Whether a column holds what was measured, rather than the operating point's parameters."""
-    return column in ("label", DETECTION_SPEED) or _OF_IMPACTS.fullmatch(column) is not None
-
-
-def _variable(column: str, where: str) -> str:
-    """Variable of a results file that a column means, by its name or by the parameter's dotted key."""
-    known = parameters({"driveline": {"inertias": [1.0], "shafts": [{}]}})
-    staged = {"stiffness": [1.0], "breakpoints_deg": [0.0]}
-    known = [*known, *parameters({"driveline": {"shafts": [staged]}, "lash": [{}]})]
-    spellings = {spelling for name in known for spelling in (name, variable_of(name))}
-    if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia, shaft or lash
-        return variable_of(column)
-    variables = [*(variable_of(name) for name in known), "label"]
-    likely = nearest(column, variables) or nearest(column, known)
-    hint = f"did you mean {likely}?" if likely else "a column is a parameter, for example load_ratio, or the label."
-    raise ClunkError(f"{where}: there is no parameter {shorten(column)}; {hint}")
+    return column == "label" or _OF_IMPACTS.fullmatch(column) is not None
 
 
 def _measurement(columns: list[str], cells: list[str], where: str, line: int) -> Measurement:
@@ -178,10 +159,11 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
             above = " greater than 0" if _is_measured(column) else ""
             raise ClunkError(f"{where}: {column} must be a finite number{above}, not {shorten(text)}.")
         words = _OF_IMPACTS.fullmatch(column)
-        quantity, number = words.groups() if words else (column, "std")
-        if not _is_measured(column):
+        if words is None:
             values.append(value)
-        elif number == "std":
+            continue
+        quantity, number = words.groups()
+        if number == "std":
             std[quantity] = value
         elif int(number) > count:
             raise ClunkError(f"{where}: {column} is given, and {label} has {counted(count, 'primary impact')}.")
@@ -189,7 +171,7 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
             impacts[quantity][int(number) - 1] = value
     for quantity in impacts.keys() - std.keys():
         raise ClunkError(f"{where}: {quantity} is given without its standard deviation, {quantity}_std.")
-    return Measurement(line, tuple(values), label, dict(impacts), std, std.get(DETECTION_SPEED, 0.0))
+    return Measurement(line, tuple(values), label, dict(impacts), std)
 
 
 @dataclass(frozen=True)
@@ -329,7 +311,7 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
     for column in experiment.columns:
         if column not in variables:
             raise ClunkError(
-                f"The column {column} of {experiment.name} is no axis of the results, which sweep {swept}."
+                f"The column {shorten(column)} of {experiment.name} is no axis of the results, which sweep {swept}."
             )
     for axis in results.axes:
         if axis.variable not in experiment.columns and len(axis.values) > 1:

@@ -22,7 +22,7 @@ from clunk.simulation.load import loads_of
 from clunk.study.arrays import Bools, Floats
 from clunk.study.designs import design_of, drawn_numbers, has_tolerances, nominal
 from clunk.study.errors import ClunkError
-from clunk.study.models import Optimize, lash_position
+from clunk.study.models import Optimize
 from clunk.study.parameters import nominal_value
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values
@@ -108,10 +108,6 @@ class Outcomes:
     margin: Floats
     quantities: dict[str, Floats | Bools]
 
-    def quantities_of(self, candidate: int) -> dict[str, Any]:
-        """The quantities of a candidate, by its number."""
-        return {name: values[candidate].item() for name, values in self.quantities.items()}
-
 
 class Problem:
     """Runs of candidates for the free numbers of a study, and how good they are.
@@ -132,7 +128,7 @@ class Problem:
         shown: str = "",
     ) -> None:
         self.optimize, self.runs, self.progress = _table(study), 0, None
-        self._lash = study.lash_names[lash_position(lash, study.lash_names)]
+        self._lash = lash
         free, minimize = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free], np.float64).T
         self._key = next((k for k, each in enumerate(free) if minimize in each.keys), None)
@@ -152,9 +148,9 @@ class Problem:
         self._drawn = drawn_numbers(study, self._tolerances) if self._tolerances else []
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
-        if swept := {key for each in free for key in each.keys} & self._cells.keys():
-            raise ClunkError(f"{min(swept)} is both free and swept: leave out its axis.")
         keys = [key for each in free for key in each.keys]
+        if swept := self._cells.keys() & set(keys):
+            raise ClunkError(f"{min(swept)} is both free and swept: leave out its axis.")
         keys += [*self._cells, *(each.parameter for each in self._tolerances)]
         self._runner = Runner(self.study, [*dict.fromkeys(keys)], workers=workers)
         values = [nominal_value(study, each.keys[0]) for each in free]
@@ -363,8 +359,9 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
     merits = problem.merit(outcomes)
     k = int(np.argmin(merits))
     parameters = problem.parameters(found[k])
-    quantities = outcomes.quantities_of(k)
-    before = problem.before.quantities_of(0) | problem.parameters(problem.start)
+    quantities = {name: values[k].item() for name, values in outcomes.quantities.items()}
+    before = {name: values.item() for name, values in problem.before.quantities.items()}
+    before |= problem.parameters(problem.start)
     return Optimum(
         study=replace_values(study, parameters),
         parameters=parameters,

@@ -176,7 +176,8 @@ def sensitivity(
     'lash.contact.stiffness'
     """
     point = operating_point(study)
-    names = of or default_quantities(point)
+    hardness = "approach_velocity" if point.lashes[0].contact.model == "restitution" else "severity"
+    names = of or (hardness, "nominal_label")
     parameters = tuple(draw.parameter for draw in _sweep(point).tolerances)
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
     if any(each.type == TEXT for each in quantities):
@@ -239,12 +240,6 @@ def operating_point(study: Study) -> Study:
 def _sweep(study: Study) -> Sweep:
     assert study.sweep is not None  # tolerances are part of it
     return study.sweep
-
-
-def default_quantities(study: Study) -> tuple[str, ...]:
-    """Quantities whose indices are asked for by default: severity or, for restitution, approach velocity, and label."""
-    hardness = "approach_velocity" if study.lashes[0].contact.model == "restitution" else "severity"
-    return hardness, "nominal_label"
 
 
 def saltelli_sample(study: Study) -> Floats:

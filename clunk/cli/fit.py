@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -29,9 +29,8 @@ def fit(
     picture: Path | None,
     fitted_config: Path | None,
     tolerances: int | None,
-    lash: str | None,
-    workers: int | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Fit parameters of a driveline to measured labels.
 
@@ -57,9 +56,7 @@ def fit(
     if fitted_config is not None:
         files.check(fitted_config, (".toml",), reads=config)
     terminal.warn_of_coarse_step(study, study.solver.method)
-    began = time.perf_counter()
-    fitted = clunk.fit(study, measurements, progress=True, lash=lash, workers=workers)
-    click.echo(f"{fitted.candidates:,} candidates in {time.perf_counter() - began:.1f} s", err=True)
+    fitted = clunk.fit(study, measurements, progress=True, **options)
     tables.tell(fitted, as_json)
     if fitted_config is not None:
         comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"

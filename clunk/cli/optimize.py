@@ -26,9 +26,8 @@ def optimize(
     output: Path | None,
     traded: str | None,
     picture: Path | None,
-    lash: str | None,
-    workers: int | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Find the values of keys that make a quantity least.
 
@@ -53,10 +52,9 @@ def optimize(
         if path is not None:
             files.check(path, suffixes, reads=config)
     terminal.warn_of_coarse_step(study, study.solver.method)
-    options: dict[str, Any] = {"lash": lash, "workers": workers, "progress": True}
+    options["progress"] = True
     try:
-        find = optimisation.optimize
-        found = optimisation.front(study, traded, **options) if traded else find(study, **options)
+        found = optimisation.front(study, traded, **options) if traded else optimisation.optimize(study, **options)
     except KeyboardInterrupt as stopped:
         for best in stopped.args:
             tables.tell(best, as_json)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -32,10 +32,9 @@ def sensitivity(
     overrides: tuple[str, ...],
     at: tuple[str, ...],
     quantities: tuple[str, ...],
-    lash: str | None,
-    workers: int | None,
     output: Path | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Tell from which tolerances the spread of an outcome comes.
 
@@ -58,11 +57,8 @@ def sensitivity(
         files.check(output, files.PICTURES, reads=config)
     point = sobol.operating_point(replace_values(study, cells.cell_values(study, at, all_needed=False)))
     terminal.warm_up(point, "drawn")
-    began = time.perf_counter()
-    result = sobol.sensitivity(point, of=quantities, lash=lash, workers=workers, progress=True)
-    seconds = time.perf_counter() - began
+    result = sobol.sensitivity(point, of=quantities, progress=True, **options)
     tables.tell(result, as_json)
-    click.echo(f"{result.runs:,} runs in {seconds:.1f} s ({result.runs / seconds:,.0f} runs/s)", err=True)
     if output is not None:
         from clunk.plot.analyses import sobol_bars
 

@@ -7,7 +7,7 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -60,7 +60,6 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     callback=_numbers,
     help="With tolerances: shares of the draws that have the same outcome, from 0.5 to 1 [0.5,0.95].",
 )
-@click.option("--draws", is_flag=True, help="With tolerances: the thresholds of each drawn driveline instead.")
 @lash_option
 @set_option
 @at_option
@@ -72,13 +71,11 @@ def thresholds(
     along: str,
     outcome: str,
     quantiles: tuple[float, ...] | None,
-    draws: bool,
-    lash: str | None,
     overrides: tuple[str, ...],
     at: tuple[str, ...],
-    workers: int | None,
     output: Path | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Locate the values of a key at which an outcome changes.
 
@@ -109,12 +106,10 @@ def thresholds(
         study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], (), at))
         _, axes = analysis.axes_of(study, along)
     analysis.parse(outcome, study)
-    lash_position(lash, study.lash_names)
+    lash_position(options["lash"], study.lash_names)
     is_toleranced = has_tolerances(study)
-    if (draws or quantiles) and not is_toleranced:
-        raise ClunkError("--quantiles and --draws need [[sweep.tolerances]], and the config has none.")
-    if draws and quantiles:
-        raise click.UsageError("--draws has the thresholds themselves, not their --quantiles; give one of the two.")
+    if quantiles and not is_toleranced:
+        raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")
     shares = quantiles or (0.5, 0.95)
     check_quantiles(shares)
     is_picture = output is not None and output.suffix.lower() in files.PICTURES
@@ -123,14 +118,12 @@ def thresholds(
     if is_picture:
         from clunk.plot import analyses as plot
 
-        if draws:
-            raise click.UsageError("--draws has no picture; -o FILE.csv takes the thresholds of each draw.")
         plot.other_axis(axes)
     terminal.warm_up(study)
     began = time.perf_counter()
-    located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=True)
+    located = analysis.thresholds(study, along=along, of=outcome, progress=True, **options)
     seconds = time.perf_counter() - began
-    result = threshold_quantiles(located, shares) if is_toleranced and not draws else located
+    result = threshold_quantiles(located, shares) if is_toleranced else located
     if as_json:
         tables.print_record(result.cells())
     else:
@@ -142,7 +135,7 @@ def thresholds(
     )
     if output is not None and is_picture:
         if is_toleranced:
-            undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, lash=lash, workers=workers)
+            undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, **options)
             figure = plot.threshold_figure(result, undrawn)
         else:
             figure = plot.threshold_figure(located)

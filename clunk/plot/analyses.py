@@ -122,7 +122,7 @@ def measured_on_maps(fitted: Fitted, workers: int | None = None) -> Figure:
         layers = Layers.of(results, 2)
         places = fitted.points[:, [fitted.axes.index(axis.parameter) for axis in layers.view.axes]].tolist()
         labels = [each.label for each in fitted.experiment.measurements]
-        met = (of_name["pattern"] == fitted.wanted).tolist()
+        met = (of_name["label"] == fitted.wanted).tolist()
         points = tuple(Measured(x, y, label, is_met) for (x, y), label, is_met in zip(places, labels, met, strict=True))
         panels.append(replace(layers, points=points))
         names.append(f"{name}: {sum(met)} of {len(points)} labels")

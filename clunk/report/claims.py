@@ -319,7 +319,7 @@ def _experiment(e: Evidence) -> Iterator[Claim]:
     factor, offset = fitted.estimate
     predicted, majority, nearest = (fitted.predictions[0][rule] for rule in ("predicted", "majority", "nearest"))
     at_reversal = (fitted.points[:, 0] == 6.7) & (fitted.points[:, 1] < 4.0)
-    agrees = fitted.estimate_matches["pattern"] == fitted.wanted
+    agrees = fitted.estimate_matches["label"] == fitted.wanted
     appears = "appears" if agrees[at_reversal].all() else "does not appear"
     yield _differs(
         "Table 4.1",
