@@ -109,7 +109,7 @@ def test_cells_do_not_depend_on_each_other_nor_on_the_order_of_axes_and_workers(
     assert both.cells() == turned.cells()
     for cell, ratio in enumerate((2.0, 6.0, 10.0)):
         alone = thresholds(study(LASH, of=(*RAMP[1:], f"load.ratio={ratio}")), along="lash.backlash_deg")
-        assert both.value[both.of_cell(cell)] == pytest.approx(alone.value, abs=20.0 * 1e-9)
+        assert both.value[both.cell == cell] == pytest.approx(alone.value, abs=20.0 * 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,9 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -115,28 +116,18 @@ class Thresholds:
     @property
     def unresolved(self) -> list[tuple[int, float, float]]:
         """Places at which the outcome changes too often to be followed: the cell, and where they begin and end."""
-        places: list[tuple[int, float, float]] = []
         fails = (self.below == FAILED_CODE) | (self.above == FAILED_CODE)
-        sharp = np.where(fails, OFF_FAILURES, TOLERANCE) * np.ptp(self.along.values)
-        for k in np.flatnonzero(self.off > sharp).tolist():
-            cell, begin, end = int(self.cell[k]), float(self.value[k] - self.off[k]), float(self.value[k] + self.off[k])
-            if places and places[-1][0] == cell and begin - places[-1][2] <= end - places[-1][1]:
-                begin = places.pop()[1]
-            places.append((cell, begin, end))
-        return places
+        wide = self.off > np.where(fails, OFF_FAILURES, TOLERANCE) * np.ptp(self.along.values)
+        begins, ends = self.value - self.off, self.value + self.off
+        rows = [(cell, wide & (self.cell == cell)) for cell in np.unique(self.cell[wide]).tolist()]
+        return [(cell, float(begins[row].min()), float(ends[row].max())) for cell, row in rows]
 
-    def of_cell(self, cell: int) -> slice:
-        """Slice of a cell's thresholds in the arrays."""
-        begin, end = np.searchsorted(self.cell, [cell, cell + 1])
-        return slice(int(begin), int(end))
-
-    def intervals(self, cell: int) -> Iterator[tuple[float, float, int]]:
-        """Yield the intervals of the axis with one outcome each in a cell, ascending: begin, end and code."""
-        part = self.of_cell(cell)
-        edges = [self.along.values[0], *self.value[part], self.along.values[-1]]
-        codes = [self.lowest[cell], *self.above[part]]
-        for k, code in enumerate(codes):
-            yield float(edges[k]), float(edges[k + 1]), int(code)
+    def intervals(self, cell: int) -> list[tuple[float, float, int]]:
+        """The intervals of the axis with one outcome each in a cell, ascending: begin, end and code."""
+        first, last = np.searchsorted(self.cell, [cell, cell + 1])
+        ends = self.along.values[[0, -1]].tolist()
+        inner, codes = self.value[first:last].tolist(), self.above[first:last].tolist()
+        return [*zip([ends[0], *inner], [*inner, ends[1]], [int(self.lowest[cell]), *codes], strict=True)]
 
     def cells(self) -> list[dict[str, Any]]:
         """Each cell as plain values, as JSON has them.
@@ -146,10 +137,10 @@ class Thresholds:
         """
         plain = []
         for cell, lowest in enumerate(self.lowest.tolist()):
-            part = self.of_cell(cell)
-            rows = zip(*(each[part].tolist() for each in (self.value, self.below, self.above)), strict=True)
+            neighbours = pairwise(self.intervals(cell))
             listed = [
-                {"value": value, "below": self.word(below), "above": self.word(above)} for value, below, above in rows
+                {"value": value, "below": self.word(below), "above": self.word(above)}
+                for (*_, below), (value, _, above) in neighbours
             ]
             plain.append({"at": self.at(cell), "lowest": self.word(lowest), "thresholds": listed})
         return plain
@@ -380,21 +371,26 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     >>> [(begin, round(end, 3)) for begin, end in clunk.threshold_quantiles(drawn, [0.95]).where(False, quantile=0.95)]
     [(0.0, 2.507)]
     """
-    draws = _draws(thresholds)
+    if not thresholds.axes or thresholds.axes[0].parameter != DRAW:
+        raise ClunkError("Quantiles are those of drawn drivelines: the config has no [[sweep.tolerances]].")
     check_quantiles(quantiles)
+    draws, axis_ends = len(thresholds.axes[0].values), thresholds.along.values[[0, -1]]
     cells = thresholds.lowest.size // draws
     needed = [math.ceil(quantile * draws - 1e-9) for quantile in quantiles]
     lowest, columns = [], []
     for cell in range(cells):
-        counts, edges, off = _counts(thresholds, cell, cells)
+        of_cell = thresholds.cell % cells == cell
+        edges, first = np.unique(np.append(axis_ends, thresholds.value[of_cell]), return_index=True)
+        off = np.append([0.0, 0.0], thresholds.off[of_cell])[first]
+        counts = _counts(thresholds, range(cell, thresholds.lowest.size, cells), 0.5 * (edges[1:] + edges[:-1]))
         likely = counts.argmax(axis=1)
         codes = np.where(likely == len(thresholds.words), FAILED_CODE, likely)
         for k, count in enumerate(needed):
             certain = np.where(counts.max(axis=1) >= count, codes, UNCERTAIN_CODE)
-            at = np.flatnonzero(certain[1:] != certain[:-1])
+            at = np.flatnonzero(certain[1:] != certain[:-1]) + 1
             lowest.append(certain[0])
             place = np.full(at.size, cell * len(needed) + k)
-            columns.append((place, edges[at + 1], off[at], certain[at], certain[at + 1]))
+            columns.append((place, edges[at], off[at], certain[at - 1], certain[at]))
     axis = ResultAxis(QUANTILE, np.array(quantiles, np.float64), "share of the draws", "", "1")
     place, value, off, below, above = map(np.concatenate, zip(*columns, strict=True))
     return replace(
@@ -409,25 +405,14 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     )
 
 
-def _draws(thresholds: Thresholds) -> int:
-    if not thresholds.axes or thresholds.axes[0].parameter != DRAW:
-        raise ClunkError("Quantiles are those of drawn drivelines: the config has no [[sweep.tolerances]].")
-    return len(thresholds.axes[0].values)
+def _counts(thresholds: Thresholds, drawn: Iterable[int], values: Floats) -> Codes:
+    """Number of draws with each outcome at some values of the key, (m, words + 1); the last is of failed runs.
 
-
-def _counts(thresholds: Thresholds, cell: int, cells: int) -> tuple[Codes, Floats, Floats]:
-    """Number of draws with each outcome between the thresholds of all draws, (m, words + 1), and the ends, (m + 1,).
-
-    Also by how much each of the ends but the outer two may be off, (m - 1,).
+    drawn : cells of the draws
     """
-    outcomes = len(thresholds.words) + 1  # the code of failed runs, -1, is the last
-    part = np.flatnonzero(thresholds.cell % cells == cell)
-    part = part[np.argsort(thresholds.value[part], kind="stable")]
-    steps = np.zeros((part.size + 1, outcomes), np.int64)
-    steps[0] = np.bincount(thresholds.lowest[cell::cells] % outcomes, minlength=outcomes)
-    rows = np.arange(1, part.size + 1)
-    steps[rows, thresholds.above[part]] += 1
-    steps[rows, thresholds.below[part]] -= 1
-    edges = np.concatenate([thresholds.along.values[:1], thresholds.value[part], thresholds.along.values[-1:]])
-    wide, off = np.diff(edges) > 0.0, np.append(0.0, thresholds.off[part])
-    return steps.cumsum(axis=0)[wide], np.append(edges[:-1][wide], edges[-1]), off[wide][1:]
+    counts = np.zeros((values.size, len(thresholds.words) + 1), np.int64)
+    for cell in drawn:
+        of_draw = thresholds.cell == cell
+        codes = np.append(thresholds.lowest[cell], thresholds.above[of_draw])
+        counts[np.arange(values.size), codes[np.searchsorted(thresholds.value[of_draw], values)]] += 1
+    return counts
