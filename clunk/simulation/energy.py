@@ -23,7 +23,7 @@ from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.core.tables import TORQUE, half_gap_of, held_inputs
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
-from clunk.simulation.phases import Regime, balanced, inputs_of, regimes_of, stretches, with_wave
+from clunk.simulation.phases import Regime, balanced, stretches
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats, Integers
 
@@ -106,7 +106,6 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     n, impulsive = line.inertia.size, bool(system.impulsive)
     before, load = run_load(study)
     half_gaps = before[[half_gap_of(lash) for lash in range(len(line.lashes))]]
-    regimes = regimes_of(system, before)
     rows, contact_dampings = np.vstack([line.shafts, line.lashes]), line.contact_dampings * (not impulsive)
 
     def indented(x: Floats, sides: Integers) -> Floats:
@@ -117,29 +116,29 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     def at_event(x: Floats, lash: int, side: int) -> float:
         return float(indented(x, np.full(len(line.lashes), side))[lash])
 
-    def stored(x: Floats, regime: Regime) -> tuple[float, tuple[float, ...], float]:
+    def stored(x: Floats, regime: int) -> tuple[float, tuple[float, ...], float]:
         """Energies stored in the inertias, in each shaft and in the contact."""
-        shafts = line.shaft_energy(x[:n])
-        contact = indented(x, regime.sides)[regime.closed > 0].sum()
+        shafts, contacts = line.shaft_energy(x[:n]), system.contacts[regime]
+        contact = indented(x, contacts["side"])[contacts["closed"] > 0].sum()
         return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), float(contact)
 
     work, damped, rubbed, x = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts)), states[0]
     held = held_inputs(len(line.lashes), len(line.frictions), system.weights.shape[1])
     torques = [twist - 1 for twist in held[len(line.lashes) :]]
     for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
-        x = start
-        for stretch in stretches(load, float(event["time"]), float(end)):
-            inputs, x = inputs_of(before, load, stretch.piece), with_wave(system, x, load, stretch)
-            regime, length = regimes_of(system, inputs)[event["regime"]], stretch.end - stretch.begin
-            rates = regime.rates @ x + regime.forcing
-            travel, taken = _integrals(regime.rates, _squares(rows, x.size), length)
+        times = float(event["time"]), float(end)
+        for stretch in stretches(system, before, load, event["regime"], start, *times):
+            regime, length = stretch.regime, stretch.end - stretch.begin
+            rates = regime.rates @ stretch.x + regime.forcing
+            travel, taken = _integrals(regime.rates, _squares(rows, rates.size), length)
             moved = travel @ rates
-            work += float(inputs[TORQUE] * (line.load @ moved[:n])) + _work_of_wave(regime, x, line.load, length)
+            work += float(regime.inputs[TORQUE] * (line.load @ moved[:n]))
+            work += _work_of_wave(regime, stretch.x, line.load, length)
             dampers = np.append(line.shaft_damping, contact_dampings * regime.closed)
             damped += dampers * np.einsum("i,kij,j->k", rates, taken, rates)
             for (friction, shares), torque in zip(line.frictions, torques, strict=True):
-                rubbed += shares * system.weights[event["regime"], torque] * (friction.twist @ moved[:n])
-            x = x + moved
+                rubbed += shares * regime.inputs[torque] * (friction.twist @ moved[:n])
+            x = stretch.x + moved
 
     lost = 0.0
     if impulsive:
@@ -153,8 +152,8 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))
         for chosen in (by_force & (events["kind"] == SEPARATION), by_force & (events["kind"] == REJOIN))
     )
-    kinetic_before, shafts_before, contact_before = stored(states[0], regimes[events["regime"][0]])
-    kinetic_after, shafts_after, contact_after = stored(x, regimes[events["regime"][-1]])
+    kinetic_before, shafts_before, contact_before = stored(states[0], events["regime"][0])
+    kinetic_after, shafts_after, contact_after = stored(x, events["regime"][-1])
     return EnergyBalance(
         work=work,
         kinetic_before=kinetic_before,

@@ -4,7 +4,6 @@ Every phase starts from the state that the run recorded at its event; nothing is
 searched again.
 """
 
-import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +19,7 @@ from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import apply, inputs_of, regimes_of, states, stretches, with_wave
+from clunk.simulation.phases import Regime, apply, regime_under, states, stretches
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Bools, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
@@ -202,12 +201,12 @@ def sample(
             "larger step or a shorter time."
         )
 
-    line, motion = Driveline.from_study(study), _Motion(trajectory, system, load, inputs_before, step)
+    line = Driveline.from_study(study)
     gains = line.rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
-    phases = [_before_load_step(trajectory, system, gains, begin, step)]
-    started = int(np.searchsorted(trajectory.phases["time"], end, side="right"))
-    phases += [phase for k in range(started) for phase in motion.after_event(k, end)]
-    columns = zip(*(motion.observed(phase, line) for phase in phases), strict=True)
+    phases = [_before_load_step(trajectory, system, inputs_before, gains, begin, step)]
+    for k in range(int(np.searchsorted(trajectory.phases["time"], end, side="right"))):
+        phases += _after_event(trajectory, system, inputs_before, load, k, end, step)
+    columns = zip(*(phase.observed(line, system) for phase in phases), strict=True)
     acceleration, torque, contacts, contact_torques = (np.concatenate(column) for column in columns)
     lengths, n = [phase.time.size for phase in phases], system.inertias
     acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
@@ -226,7 +225,7 @@ def sample(
         acceleration=acceleration,
         torque=torque,
         backlash_coordinates=radii * apply(system.lashes[:, n : 2 * n], angle),
-        contacts=contacts.astype(np.int8),
+        contacts=(-trajectory.initial_sides * contacts).astype(np.int8),
         contact_torques=contact_torques,
         event=event,
     )
@@ -251,75 +250,62 @@ def shown_until(trajectory: Trajectory) -> float:
 
 
 class _Phase(NamedTuple):
-    """Samples of the motion from one event, kink of the load, or the start of the history, to the next."""
+    """Samples of the motion in a regime, from an event, a kink of the load, or the start of the history to the next."""
 
     time: Floats  # (m,)  s after the load step
     state: Floats  # (m, N)  rad, rad/s, and the load's wave
-    regime: int
-    piece: int  # of the load, -1 before the load step
+    regime: Regime
+    flow: int
     event: int  # that the phase begins with, or -1
+
+    def observed(self, line: Driveline, system: System) -> tuple[Floats, Floats, Integers, Floats]:
+        """Accelerations, load, contacts as sides of q, and contact torques of the samples, as of `History`."""
+        state, regime, n = self.state, self.regime, system.inertias
+        contact_torques = np.zeros((len(state), regime.closed.size))
+        for lash in np.flatnonzero(regime.closed).tolist():
+            across = torque_across(line, system, alone(system), self.flow, lash)[0]
+            by_state, by_inputs = np.split(across, [state.shape[1]])
+            contact_torques[:, lash] = apply(by_state[None], state)[:, 0] + by_inputs @ regime.inputs
+        acceleration = apply(regime.rates[n : 2 * n], state) + regime.forcing[n : 2 * n]
+        torque = regime.inputs[TORQUE] + state[:, 2 * n :][:, :1].sum(axis=1)
+        return acceleration, torque, np.tile(regime.sides * regime.closed, (len(state), 1)), contact_torques
 
 
 def _before_load_step(
-    trajectory: Trajectory, system: System, acceleration: Floats, begin: float, step: float
+    trajectory: Trajectory, system: System, inputs: Floats, acceleration: Floats, begin: float, step: float
 ) -> _Phase:
     """The steady motion before the load step, with its constant acceleration, (n,)  [rad/s2]."""
     time = np.concatenate(([begin] if begin < 0.0 else [], _grid(begin, 0.0, step) * step, [0.0]))
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
-    return _Phase(time, state + 0.0, int(trajectory.events["regime"][0]), -1, -1)  # no -0.0
+    number = int(trajectory.events["regime"][0])
+    flow = int(system.regimes[number]["flow"])
+    return _Phase(time, state + 0.0, regime_under(system, number, inputs), flow, -1)  # no -0.0
 
 
-class _Motion:
-    """The motion of a run between its events, sampled."""
-
-    def __init__(self, trajectory: Trajectory, system: System, load: Floats, before: Floats, step: float) -> None:
-        self._trajectory, self._system, self._load, self._step = trajectory, system, load, step
-        self._before = before
-        self._regimes = functools.cache(lambda piece: regimes_of(system, self._inputs(piece)))
-
-    def _inputs(self, piece: int) -> Floats:
-        return self._before if piece < 0 else inputs_of(self._before, self._load, piece)
-
-    def observed(self, phase: _Phase, line: Driveline) -> tuple[Floats, Floats, Integers, Floats]:
-        """Accelerations, load, contacts and contact torques of the samples of a phase, as of `History`."""
-        system, state, inputs = self._system, phase.state, self._inputs(phase.piece)
-        n, regime = system.inertias, self._regimes(phase.piece)[phase.regime]
-        driven = system.weights[phase.regime] * np.concatenate([inputs, np.ones(len(system.weights.T) - inputs.size)])
-        contact_torques = np.zeros((len(state), regime.closed.size))
-        for lash in np.flatnonzero(regime.closed).tolist():
-            across = torque_across(line, system, alone(system), system.regimes[phase.regime]["flow"], lash)[0]
-            by_state, by_inputs = np.split(across, [state.shape[1]])
-            contact_torques[:, lash] = apply(by_state[None], state)[:, 0] + by_inputs @ driven
-        acceleration = apply(regime.rates[n : 2 * n], state) + regime.forcing[n : 2 * n]
-        torque = inputs[TORQUE] + state[:, 2 * n :][:, :1].sum(axis=1)
-        contacts = -self._trajectory.initial_sides * regime.sides * regime.closed
-        return acceleration, torque, np.tile(contacts, (len(state), 1)), contact_torques
-
-    def after_event(self, k: int, end: float) -> Iterator[_Phase]:
-        """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches."""
-        starts, step = self._trajectory.phases["time"], self._step
-        start, stop = float(starts[k]), float(starts[k + 1]) if k + 1 < starts.size else np.inf
-        phases, x = self._trajectory.phases, self._trajectory.phase_states[k]
-        regime, is_event = int(phases["regime"][k]), phases["kind"] != STAGE
-        event = int(np.count_nonzero(is_event[:k])) if is_event[k] else -1
-        for stretch in stretches(self._load, start, min(stop, end)):
-            piece, begin, until = stretch
-            flow, x = self._regimes(piece)[regime], with_wave(self._system, x, self._load, stretch)
-            within = _grid(begin, until, step)
-            times, parts = [np.array([begin]), within * step], [x[None]]
-            if within.size:
-                parts.append(states(flow, x, within[0] * step - begin, step, within.size))
-            if begin < until:
-                times.append(np.array([until]))
-                x = states(flow, x, until - begin, step, 1)[0]
-                if until == stop and not (self._system.impulsive and phases["kind"][k + 1] == TOUCH):
-                    recorded = self._trajectory.phase_states[k + 1]
-                    x[: recorded.size] = recorded
-                parts.append(x[None])
-            yield _Phase(np.concatenate(times), np.concatenate(parts), regime, piece, event)
-            event = -1
+def _after_event(
+    trajectory: Trajectory, system: System, before: Floats, load: Floats, k: int, end: float, step: float
+) -> Iterator[_Phase]:
+    """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches."""
+    phases, recorded = trajectory.phases, trajectory.phase_states
+    starts, is_event, number = phases["time"], phases["kind"] != STAGE, int(phases["regime"][k])
+    stop = float(starts[k + 1]) if k + 1 < starts.size else np.inf
+    event, times = int(np.count_nonzero(is_event[:k])) if is_event[k] else -1, (float(starts[k]), min(stop, end))
+    for _, begin, until, regime, x in stretches(system, before, load, number, recorded[k], *times):
+        within = _grid(begin, until, step)
+        sampled, parts = [np.array([begin]), within * step], [x[None]]
+        if within.size:
+            parts.append(states(regime, x, within[0] * step - begin, step, within.size))
+        if begin < until:
+            last = states(regime, x, until - begin, step, 1)
+            if until == stop and not (system.impulsive and phases["kind"][k + 1] == TOUCH):
+                last[0, : recorded.shape[1]] = recorded[k + 1]
+            sampled.append(np.array([until]))
+            parts.append(last)
+        flow = int(system.regimes[number]["flow"])
+        yield _Phase(np.concatenate(sampled), np.concatenate(parts), regime, flow, event)
+        event = -1
 
 
 def _grid(start: float, stop: float, step: float) -> Integers:

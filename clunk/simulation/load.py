@@ -175,13 +175,8 @@ def load_step(load: Load) -> LoadStep:
     return LoadStep(float(before[0]), float(pieces[0, -1, LEVEL]))
 
 
-def run_inputs(study: Study) -> tuple[Floats, Floats]:
-    """Inputs d of a run before its load step, and under the torque that its load goes to  [N m, rad, N m/s]."""
-    first, *further = [np.deg2rad(lash.backlash_deg) / 2 for lash in study.lashes]
-    before, after = (np.array([torque, first, 0.0, *further]) for torque in load_step(study.load))
-    return before, after
-
-
 def run_load(study: Study) -> tuple[Floats, Floats]:
     """Inputs d of a run before its load step  [N m, rad, N m/s], and the pieces of its load, (P, PIECE)."""
-    return run_inputs(study)[0], loads_of(study.load, 1).pieces[0]
+    (torque,), (pieces,) = loads_of(study.load, 1)
+    first, *further = [np.deg2rad(lash.backlash_deg) / 2 for lash in study.lashes]
+    return np.array([torque, first, 0.0, *further]), pieces

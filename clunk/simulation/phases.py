@@ -25,18 +25,16 @@ class Regime(NamedTuple):
 
     rates: Floats  # (N, N)
     forcing: Floats  # (N,)
+    inputs: Floats  # (I,)  u, each by the regime's weight
     sides: Integers  # (L,)  sign of q on each lash's flank concerned, 0 for none
     closed: Integers  # (L,)  whether its flanks press on each other
 
 
-def regimes_of(system: System, inputs: Floats) -> list[Regime]:
-    """The regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
-    constants = np.ones(system.weights.shape[1] - inputs.size)
-    driven = system.weights * np.concatenate([inputs, constants])
-    return [
-        Regime(system.rates[row["flow"]], system.inputs[row["flow"]] @ u, contacts["side"], contacts["closed"])
-        for row, contacts, u in zip(system.regimes, system.contacts, driven, strict=True)
-    ]
+def regime_under(system: System, number: int, inputs: Floats) -> Regime:
+    """One of the regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
+    flow, contacts, u = system.regimes[number]["flow"], system.contacts[number], system.weights[number].copy()
+    u[: inputs.size] *= inputs  # the others are 1
+    return Regime(system.rates[flow], system.inputs[flow] @ u, u, contacts["side"], contacts["closed"])
 
 
 class Preload(NamedTuple):
@@ -56,20 +54,31 @@ def preload(system: System, inputs: Floats) -> Preload:
 
 
 class Stretch(NamedTuple):
-    """A part of a run under one piece of its load."""
+    """A part of a run in one regime under one piece of its load."""
 
     piece: int
     begin: float  # s after the load step
     end: float
+    regime: Regime
+    x: Floats  # (N,)  where it begins  [rad, rad/s], and the load's wave
 
 
-def stretches(load: Floats, begin: float, end: float) -> Iterator[Stretch]:
-    """Cut the time between two events where pieces of a load (P, PIECE) begin."""
+def stretches(
+    system: System, before: Floats, load: Floats, number: int, x: Floats, begin: float, end: float
+) -> Iterator[Stretch]:
+    """Cut the time in a regime, from a state (θ, θ') to the next event, where pieces of a load (P, PIECE) begin.
+
+    before : inputs d before the load step  [N m, rad, N m/s]
+    """
     first = int(np.searchsorted(load[:, BEGIN], begin, side="right")) - 1
     kinks = [*load[first + 1 :, BEGIN].tolist(), np.inf]
     for piece, kink in enumerate(kinks, first):
         if kink > begin:
-            yield Stretch(piece, begin, min(kink, end))
+            regime = regime_under(system, number, inputs_of(before, load, piece))
+            x = _with_wave(system, x, load[piece], begin)
+            yield Stretch(piece, begin, min(kink, end), regime, x)
+            if kink < end:
+                x = states(regime, x, kink - begin, 0.0, 1)[0]
             begin = kink
         if kink >= end:
             return
@@ -82,14 +91,13 @@ def inputs_of(before: Floats, load: Floats, piece: int) -> Floats:
     return inputs
 
 
-def with_wave(system: System, x: Floats, load: Floats, stretch: Stretch) -> Floats:
-    """The state (θ, θ', w) at the beginning of a stretch, from (θ, θ')."""
+def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats:
+    """The state (θ, θ', w) in a piece of a load, (PIECE,), from (θ, θ')."""
     size = 2 * system.inertias
     if system.rates.shape[1] == size:
         return x
-    row = load[stretch.piece]
-    wave = np.array([row[WAVE], row[WAVE_PARTNER] + row[SLOPE]])
-    return np.concatenate([x[:size], _exponential((stretch.begin - row[BEGIN]) * system.rates[0, size:, size:]) @ wave])
+    wave = np.array([piece[WAVE], piece[WAVE_PARTNER] + piece[SLOPE]])
+    return np.concatenate([x[:size], _exponential((begin - piece[BEGIN]) * system.rates[0, size:, size:]) @ wave])
 
 
 def generator(regime: Regime) -> Floats:

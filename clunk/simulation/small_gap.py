@@ -16,9 +16,9 @@ from clunk.core.regimes import alone
 from clunk.core.status import Status
 from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline, build, explained
-from clunk.simulation.load import run_inputs
+from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import preload, regimes_of, states
+from clunk.simulation.phases import inputs_of, preload, regime_under, states
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.loads import is_ideal_step
@@ -70,7 +70,9 @@ class SmallGap(NamedTuple):
             raise ClunkError(f"There is no response to draw: {explained(study, Status(system.status))}.")
         if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
             raise ClunkError("There is no decay to draw: the driveline has no damped oscillation in contact.")
-        before, after = (np.where(np.arange(inputs.size) == TORQUE, inputs, 0.0) for inputs in run_inputs(study))
+        before, load = run_load(study)
+        before[np.arange(before.size) != TORQUE] = 0.0  # without a gap
+        after = inputs_of(before, load, -1)
         rest = preload(system, before)
         if rest.sides[0] == 0:
             raise ClunkError("There is no response to draw: the lash carries no torque before the load step.")
@@ -82,7 +84,7 @@ class SmallGap(NamedTuple):
         step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
-        state = states(regimes_of(system, after)[rest.regime], rest.x, 0.0, step, time.size)
+        state = states(regime_under(system, rest.regime, after), rest.x, 0.0, step, time.size)
         across = torque_across(driveline, system, alone(system), system.regimes[rest.regime]["flow"], 0)[0]
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time

@@ -159,19 +159,15 @@ class Trajectory:
 
     def event_table(self) -> list[tuple[str, ...]]:
         """Headings, and the events after the load step as texts; of several lashes with a column for the lash."""
-        ranks = {int(k): (each, rank) for each in self.lashes for rank, k in enumerate(each.primaries)}
-        rows: list[tuple[str, ...]] = [_EVENT_COLUMNS]
-        for k, event in enumerate(self.events[1:], 1):
-            severity = ""
-            if k in ranks:
-                each, rank = ranks[k]
-                severity = _severity(each.impact_severity[rank])
-            texts = f"{event['time']:.7f}", self.kind_name(k), self.flank_name(k), f"{event['speed']:+.6f}"
-            rows.append((*texts, severity))
-        if len(self.lashes) == 1:
-            return rows
-        names = ["lash", *map(self.lash_name, range(1, len(self.events)))]
-        return [(*row[:2], name, *row[2:]) for row, name in zip(rows, names, strict=True)]
+        several, severities = len(self.lashes) > 1, np.full(len(self.events), "", object)
+        for each in self.lashes:
+            severities[each.primaries] = [_severity(severity) for severity in each.impact_severity]
+        time, event, *others = _EVENT_COLUMNS
+        rows: list[tuple[str, ...]] = [(time, event, *["lash"] * several, *others)]
+        for k, row in enumerate(self.events[1:], 1):
+            names = self.kind_name(k), *[self.lash_name(k)] * several, self.flank_name(k)
+            rows.append((f"{row['time']:.7f}", *names, f"{row['speed']:+.6f}", severities[k]))
+        return rows
 
     def __repr__(self) -> str:
         ended = ("ended", f"{self.end:.4g} s after the load step: {self.ending}")
