@@ -177,16 +177,15 @@ def with_boundaries(
     results: AnyMap,
     *,
     lash: str | None = None,
-    workers: int | None = None,
-    progress: Progress | None = None,
+    **options: Any,
 ) -> AnyMap:
-    """A regime map with its boundaries, traced where it has none of this lash yet. Raises as `boundaries`."""
+    """A regime map with its boundaries, traced where it has none of this lash yet; options : as of `boundaries`."""
     if not isinstance(results, Results):
         return results
     part = results if lash is None else results.of_lash(lash)
     if part.boundaries is not None:
         return results
-    return replace(results, boundaries=boundaries(study, results, lash=lash, workers=workers, progress=progress))
+    return replace(results, boundaries=boundaries(study, results, lash=lash, **options))
 
 
 class _Scale:

@@ -201,7 +201,7 @@ class PointRuns:
         progress: Progress | None = None,
     ) -> None:
         self.runner = Runner(measuring(study, [outcome]), parameters, engine=engine)
-        self.study, self.outcome, self._lash = study, outcome, str(lash + 1)
+        self.outcome, self._lash = outcome, str(lash + 1)
         self._progress, self.count = progress, 0
         self.failures: dict[Status, int] = {}  # number of runs by cause
         self._codes = {word: code for code, word in enumerate(words)}
@@ -209,9 +209,9 @@ class PointRuns:
     @property
     def cost(self) -> int:
         """How many runs of one common driveline, by exact or in `_STEPS` steps of rk4, take as long as one of these."""
-        solver, structural = self.study.solver, self.runner.grid.structural
-        steps = solver.end_time / solver.step if solver.method == "rk4" else 0.0
-        return max(1, round(steps / _STEPS), count_of_regimes(self.study) // 2 if structural else 1)
+        study, structural = self.runner.study, self.runner.grid.structural
+        steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
+        return max(1, round(steps / _STEPS), count_of_regimes(study) // 2 if structural else 1)
 
     def __call__(self, values: Floats, more: int = 0) -> Points:
         """Run points.
