@@ -182,7 +182,7 @@ def test_thresholds_are_those_of_the_lash_that_is_named(lash, swept):
 
 
 def test_boundaries_of_a_lash_stay_with_it(tmp_path):
-    results = clunk.sweep(rig(9, 0), boundaries=True, lash="joint")
+    results = clunk.sweep(rig(9, 5), boundaries=True, lash="joint")
     assert results.boundaries.lash == "joint"
     clunk.write_results(tmp_path / "traced.h5", results)
     again = clunk.read_results(tmp_path / "traced.h5")
