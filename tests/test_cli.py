@@ -26,7 +26,9 @@ title = "Small"
 [driveline]
 preset = "boere-2008"
 [solver]
-step = 2e-4
+method = "exact"
+[sweep]
+boundaries = false
 [[sweep.axes]]
 parameter = "load.ratio"
 start = 0.0
@@ -57,7 +59,7 @@ on = 2
 static_torque = -1.0
 ratio = 5.0
 """
-AXES = SMALL[SMALL.index("[[sweep") :]
+AXES = SMALL[SMALL.index("[sweep]") :]
 
 
 @pytest.fixture
@@ -417,7 +419,7 @@ def test_a_starter_taken_for_a_file_name_is_answered_with_the_command(command, h
 BROKEN = [
     (SMALL.replace("preset", "prest"), "preset"),
     (SMALL.replace("count = 6", "count = 40000").replace("count = 5", "count = 40000"), "memory"),
-    (SMALL[: SMALL.index("[[sweep")], "sweep.axes"),
+    (SMALL[: SMALL.index("[sweep]")], "sweep.axes"),
     ("title = \n", "TOML"),
     ("", "driveline"),
     (LADEN.replace("[1.0, 1.0]", "[1.0, 1.0, 2.0]").replace("stiffness = 10.0", "stiffness = 0.0") + AXES, "inertia 3"),

@@ -2,17 +2,14 @@
 
 Run by hand: python tests/benchmarks/figure.py [--repeats N] [--quick]
 
-Prints runs/s, ns per step per core and peak memory, as medians of interleaved repeats: runs that stop when nothing can
+Prints runs/s and ns per step per core, as medians of interleaved repeats: runs that stop when nothing can
 follow and runs of full length, on one thread and on all cores.
 """
 
 import argparse
 import os
 import platform
-import resource
 import statistics
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -33,8 +30,8 @@ def report_map(count: int) -> Study:
     return load_study(FIGURE, counts)
 
 
-def main(repeats: int, count: int, sizes: tuple[int, int]) -> None:
-    """Print the table, of a map of count x count cells; memory is that between maps of two sizes."""
+def main(repeats: int, count: int) -> None:
+    """Print the table, of a map of count x count cells."""
     study = report_map(count)
     cells = sweeping.cell_count(study)
     sweeping.sweep(report_map(3))  # compile
@@ -52,7 +49,6 @@ def main(repeats: int, count: int, sizes: tuple[int, int]) -> None:
         name = "stopped when complete" if early else "full length"
         per_step = "" if early else f"{each / STEPS * 1e9:14.1f}"
         print(f"{name:<24}{workers:>8}{median:>9.2f}{cells / median:>9.0f}{each * 1e6:>13.1f}{per_step}")
-    print("peak memory per cell above a constant:", f"{bytes_per_cell(*sizes):.0f} bytes")
 
 
 def timed(study, workers: int, early: bool) -> float:
@@ -73,32 +69,9 @@ def timed(study, workers: int, early: bool) -> float:
         driveline.prepare = prepare
 
 
-def bytes_per_cell(small: int, large: int) -> float:
-    """Slope of the peak memory between a small and a large sweep, each whole process with its file written."""
-    peaks = [int(subprocess.check_output([sys.executable, __file__, f"--peak={n}"])) for n in (small, large)]
-    return (peaks[1] - peaks[0]) / (large**2 - small**2)
-
-
-def peak(count: int) -> int:
-    """Peak resident memory of one sweep and its file  [bytes]."""
-    import tempfile
-
-    from clunk.results.store import write_results
-
-    with tempfile.TemporaryDirectory() as directory:
-        write_results(f"{directory}/map.h5", sweeping.sweep(report_map(count)))
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="one repeat on 21 x 21 cells")
-    parser.add_argument("--peak", type=int, metavar="COUNT", help="only the peak memory of one sweep [bytes]")
     options = parser.parse_args()
-    if options.peak:
-        print(peak(options.peak))
-    elif options.quick:
-        main(1, 21, (11, 41))
-    else:
-        main(options.repeats, 201, (101, 501))
+    main(*((1, 21) if options.quick else (options.repeats, 201)))

@@ -12,8 +12,6 @@ import statistics
 import time
 from pathlib import Path
 
-from machine import Watch
-
 from clunk.study.config import load_study, study_from_text
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
@@ -56,14 +54,13 @@ def studies(largest: int = 201) -> dict[tuple[str, str, int], Study]:
     return cases
 
 
-def main(repeats: int, largest: int, patience: float) -> None:
-    """Print the table; each measurement waits for an idle machine, but no longer than `patience` [s]."""
-    cases, watch, cores = studies(largest), Watch([]), len(os.sched_getaffinity(0))
+def main(repeats: int, largest: int) -> None:
+    """Print the table."""
+    cases, cores = studies(largest), len(os.sched_getaffinity(0))
     touches = {case: touches_of(study) for case, study in cases.items()}
     seconds: dict[tuple[str, str, int], list[float]] = {case: [] for case in cases}
     for _ in range(repeats):
         for case, study in cases.items():
-            watch.wait(0.05, patience)
             began = time.perf_counter()
             sweeping.sweep(study, workers=cores)
             seconds[case].append(time.perf_counter() - began)
@@ -88,7 +85,4 @@ if __name__ == "__main__":
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="one repeat on 3 x 3 cells")
     options = parser.parse_args()
-    if options.quick:
-        main(1, 3, 0.0)
-    else:
-        main(options.repeats, 201, 20.0)
+    main(*((1, 3) if options.quick else (options.repeats, 201)))

@@ -1,18 +1,17 @@
 """clunk beside the real alternatives: the same 400 runs on the same machine, and how far each one's events are off.
 
-Run by hand: python tests/benchmarks/peers.py [--quick] [--repeats N] [--patience S]   (clunk's extra `bench`)
+Run by hand: python tests/benchmarks/peers.py [--quick] [--repeats N]   (clunk's extra `bench`)
 
 The runs are those of `events_table`: 20 x 20 cells, 1.5 s after the load step, every touch and separation located. One
 row is a sweep of the same axes at 401 x 401 cells, as large as maps are: a sweep has milliseconds of its own, which
 400 runs notice. heyoka is given the 400 runs ten times over at a time, since it has some of its own as well.
 
 Each row is timed on one core and on two, in interleaved repeats, compilation before the clock starts; the table has the
-medians, half the range of the repeats, and the ratio to heyoka's eight lanes. On a machine with other users each
-measurement waits up to S seconds for it to be idle, and those during which others took 5 % of it or more do not count;
-a rate with no other measurement than such is marked *. clunk's rows are whole calls of `clunk.sweep` with as many
-threads as cores; the other rows are processes that already wait for work, timed until every run's events are in this
-process. Errors are against the stored table of `reference_events.py`: the largest |time error| of any event in the runs
-that have the right number of them, and how many runs have another number of events, or another label.
+medians, half the range of the repeats, and the ratio to heyoka's eight lanes. clunk's rows are whole calls of
+`clunk.sweep` with as many threads as cores; the other rows are processes that already wait for work, timed until every
+run's events are in this process. Errors are against the stored table of `reference_events.py`: the largest |time error|
+of any event in the runs that have the right number of them, and how many runs have another number of events, or another
+label.
 """
 
 import argparse
@@ -31,7 +30,6 @@ from typing import NamedTuple
 import events_table
 import figure
 import numpy as np
-from machine import Watch
 
 import clunk
 from clunk.core.events import EVENT
@@ -46,7 +44,6 @@ FINE = 401  # cells a side of the large sweep
 CORES = (1, 2)
 SAMPLE = CELLS[::7]  # of the rows that take half a minute for all: 58 runs from all over the map
 YARDSTICK = "heyoka, tolerance 1e-9"
-DISTURBED = 0.05  # of the machine used by others
 NOTES = """\
 clunk's rows deliver label, Q, V and every primary impact of each cell, from all its events, and
 stop a run when it is proved that nothing can follow; "full length" does not stop. The other rows
@@ -59,36 +56,24 @@ class Row:
     """One line of the table.
 
     rates : cores -> runs/s, one for each repeat
-    others : cores -> share of the machine that others took meanwhile
     ready : float  [s], from nothing to the first run, with what it compiles
     """
 
     name: str
     ready: float = 0.0
     rates: dict[int, list[float]] = field(default_factory=lambda: {cores: [] for cores in CORES})
-    others: dict[int, list[float]] = field(default_factory=lambda: {cores: [] for cores in CORES})
     time_error: float = float("nan")
     checked: int = 0
     wrong_events: int = 0
     wrong_labels: int = 0
 
-    def counted(self, cores: int) -> list[float]:
-        """The rates that count: the undisturbed ones, or all if there is none  [runs/s]."""
-        both = list(zip(self.rates[cores], self.others[cores], strict=True))
-        return [rate for rate, others in both if others < DISTURBED] or self.rates[cores]
-
     def rate(self, cores: int) -> float:
         """The median  [runs/s]."""
-        return statistics.median(self.counted(cores))
+        return statistics.median(self.rates[cores])
 
     def spread(self, cores: int) -> float:
         """Half the range, as a share of the median."""
-        counted = self.counted(cores)
-        return (max(counted) - min(counted)) / 2 / self.rate(cores)
-
-    def disturbed(self, cores: int) -> bool:
-        """Whether others used the machine in every measurement."""
-        return min(self.others[cores]) >= DISTURBED
+        return (max(self.rates[cores]) - min(self.rates[cores])) / 2 / self.rate(cores)
 
 
 class Expected(NamedTuple):
@@ -111,7 +96,6 @@ class Clunk:
         sweeping.warm_up(self.study)
         self.row.ready = time.perf_counter() - began
         self.work(1)
-        self.processes: list[multiprocessing.process.BaseProcess] = []
 
     def work(self, cores: int) -> tuple[int, float]:
         """Runs and seconds of one sweep."""
@@ -267,9 +251,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--quick", action="store_true", help="one short repeat; solve_ivp has 6 runs")
-    parser.add_argument(
-        "--patience", type=float, default=0.0, help="seconds that a measurement waits for an idle machine"
-    )
     options = parser.parse_args()
     repeats, at_least = (1, 0.0) if options.quick else (options.repeats, 0.5)
     rows = []
@@ -281,14 +262,10 @@ def main() -> None:
                 print(f"{name}: skipped, {error}", file=sys.stderr)
             else:
                 stack.callback(rows[-1].close)
-        watch = Watch([process.pid for contestant in rows for process in contestant.processes])
         for repeat in range(repeats):
             for contestant in rows:
                 for cores in CORES:
-                    watch.wait(DISTURBED, options.patience)
-                    watch.start()
                     contestant.row.rates[cores].append(rate(contestant, cores, at_least))
-                    contestant.row.others[cores].append(watch.others())
             print(f"repeat {repeat + 1} of {repeats}", file=sys.stderr)
         table = expected()
         for contestant in rows:
@@ -318,8 +295,7 @@ def report(table: list[Row], machine: str, repeats: int) -> None:
         speeds = ""
         for cores in CORES:
             share = f"{row.rate(cores) / yardstick.rate(cores):.2g}" if yardstick else ""
-            number = f"{'*' if row.disturbed(cores) else ''}{row.rate(cores):,.0f}"
-            speeds += f"{number:>10}{row.spread(cores):>6.0%}{share:>8}"
+            speeds += f"{row.rate(cores):>10,.0f}{row.spread(cores):>6.0%}{share:>8}"
         wrong = f"{row.wrong_events:>8}{row.wrong_labels:>8}" + (
             f" of {row.checked}" if row.checked < CELLS.size else ""
         )

@@ -14,7 +14,6 @@ from helpers.randomplants import nudged
 from helpers.starts import started
 
 NUDGE = 1e-10
-FLOOR = 2e-11  # s, between two codes that are exact to rounding
 NEAR = {"exact": 2e-9, "rk4": 1e-6}  # s, what chatter makes of rounding; rk4's own error at a step of 20 µs is 1e-8 s
 RESOLVED = 0.05  # of NEAR: how far a nudge may move an event; two thirds to nine tenths of random lashes' events are
 # Runs of which rounding is not magnified. RK4 steps 5e-5 s, of which the contact's mode (ω = 1623 1/s) makes 0.08 rad:
@@ -22,7 +21,6 @@ RESOLVED = 0.05  # of NEAR: how far a nudge may move an event; two thirds to nin
 TIME = {"exact": 4e-12, "rk4": 1e-7}  # s
 STATE = {"exact": 1e-9, "rk4": 1e-4}  # rad, rad/s: of speeds of 10 rad/s, at accelerations of up to 1e3 rad/s²
 SEVERITY = {"exact": 1e-9, "rk4": 3e-6}  # relative
-POSITION = 2e-14  # rad, what a sum of up to eight modes of some 0.1 rad is off by, over several events
 
 
 def exact(plant, state=None, end_time=2.0, method="exact", step=1e-4):
