@@ -177,9 +177,15 @@ def test_a_key_that_is_set_replaces_those_that_may_be_given_instead_of_it(text, 
     assert study_from_text(text, overrides=overrides) == study_from_text(same)
 
 
-def test_an_axis_sweeps_a_gap_that_is_given_in_another_unit():
-    study = study_from_text(WHOLE.replace("backlash_deg = 6.0", "gap_mm = 8.0"))
-    assert study.lash.backlash_deg == study_from_text(IN_MM).lash.backlash_deg
+def test_a_gap_in_mm_is_the_backlash_at_the_radius_and_a_stiffness_per_degree_the_stiffness():
+    in_mm, per_degree = study_from_text(IN_MM), study_from_text(PER_DEGREE)
+    assert in_mm.lash.backlash_deg == pytest.approx(np.rad2deg(8e-3 / 0.08), rel=1e-15)
+    assert per_degree.driveline.shafts[0].stiffness == pytest.approx(90.0 / np.pi, rel=1e-15)
+    assert not {"gap_mm", "stiffness_per_deg"} & {*re.findall(r"\w+", to_toml(in_mm) + to_toml(per_degree))}
+    preset = study_from_text(PRESET, overrides=["lash.gap_mm=8.0"])
+    assert preset.lash == in_mm.lash
+    assert study_from_text(f"{PRESET}[lash]\ngap_mm = 4\nradius = 0.04\n").lash.backlash_deg == in_mm.lash.backlash_deg
+    assert study_from_text(WHOLE.replace("backlash_deg = 6.0", "gap_mm = 8.0")).lash == in_mm.lash
     assert "sweep.axes[2] sweeps lash.backlash_deg" in str(errors_of(WHOLE, "lash.gap_mm=8.0"))
 
 
@@ -252,22 +258,6 @@ def test_starter_names_every_key():
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
 
 
-def test_a_gap_in_mm_is_the_backlash_at_the_radius():
-    study = study_from_text(ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8"))
-    assert study.lash.backlash_deg == pytest.approx(np.rad2deg(8e-3 / 0.08), rel=1e-15)
-    assert study.lash.gap_mm is None
-    assert "gap_mm" not in to_toml(study)
-    assert study_from_text(PRESET, overrides=["lash.gap_mm=8.0"]).lash == study.lash
-    assert study_from_text(f"{PRESET}[lash]\ngap_mm = 4\nradius = 0.04\n").lash.backlash_deg == study.lash.backlash_deg
-
-
-def test_a_stiffness_per_degree_is_the_stiffness():
-    study = study_from_text(ONE_RUN.replace("stiffness = 31.3", "stiffness_per_deg = 0.5", 1))
-    assert study.driveline.shafts[0].stiffness == pytest.approx(90.0 / np.pi, rel=1e-15)
-    assert study.driveline.shafts[0].stiffness_per_deg is None
-    assert "stiffness_per_deg" not in to_toml(study)
-
-
 def test_a_gear_ratio_of_1_is_the_ratio_of_what_has_none():
     plain, unit = study_from_text(ONE_RUN), study_from_text(ONE_RUN.replace("[lash]", "[lash]\nratio = 1"))
     assert plain == unit
@@ -277,13 +267,6 @@ def test_a_gear_ratio_of_1_is_the_ratio_of_what_has_none():
         assert get_value(geared, key) == -3.7
         assert digest(geared) != digest(plain)
         assert study_from_text(to_toml(geared)) == geared
-
-
-@pytest.mark.parametrize("text", [ONE_RUN, WHOLE, BY_TABLE], ids=["one run", "whole", "table"])
-def test_the_defaults_of_a_resolved_config_raise_no_doubts(text):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", ClunkWarning)
-        study_from_text(to_toml(study_from_text(text)))
 
 
 def test_a_gear_ratio_can_be_swept_drawn_and_toleranced():
@@ -309,6 +292,8 @@ def schema() -> Validator:
 
 TEXTS = {
     "whole": WHOLE,
+    "one run": ONE_RUN,
+    "table": BY_TABLE,
     "starter": STARTER,
     "preset": PRESET,
     **{path.stem: path.read_text("utf-8") for path in CONFIGS},
@@ -316,9 +301,18 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_schema_allows_what_a_config_may_hold(schema, name):
+def test_the_schema_allows_a_config_and_its_resolved_text_which_is_an_equal_study_without_doubts(schema, name):
     schema.validate(tomllib.loads(TEXTS[name]))
-    schema.validate(tomllib.loads(to_toml(study_from_text(TEXTS[name]))))
+    study = study_from_text(TEXTS[name])
+    resolved = to_toml(study)
+    schema.validate(tomllib.loads(resolved))
+    assert "preset" not in resolved
+    with warnings.catch_warnings():
+        if name in ("one run", "whole", "table"):  # what the defaults fill in is never in doubt
+            warnings.simplefilter("error", ClunkWarning)
+        again = study_from_text(resolved)
+    assert again == study
+    assert (to_toml(again), digest(again)) == (resolved, digest(study))
 
 
 @pytest.mark.parametrize(
@@ -366,7 +360,6 @@ BROKEN = [
     (with_line(10, "between = [2, 2]"), "driveline.shafts[2].between", 10, "both ends are 2"),
     (with_line(14, 'between = ["ground", "ground"]'), "driveline.shafts[3].between", 14, 'both ends are "ground"'),
     (with_line(14, "between = [1]"), "driveline.shafts[3].between", 14, "found [1]; must be two inertias"),
-    (with_line(15, "stiffness = -1"), "driveline.shafts[3].stiffness", 15, "found -1; must be a number, 0 or greater"),
     (with_line(15, "stiffness = 31.3\nratio = 0"), "driveline.shafts[3].ratio", 16, "found 0; must be a finite number"),
     (with_line(15, "stiffness = 31.3\nratio = 1e7"), "driveline.shafts[3].stiffness", 15, "lost in rounding"),
     (with_line(15, "stiffness = 3\nstiffness_per_deg = 1"), "driveline.shafts[3]", 13, "given together; give one of"),
@@ -376,7 +369,6 @@ BROKEN = [
     (with_line(19, "backlsh_deg = 6.0"), "lash.backlsh_deg", 19, 'did you mean "backlash_deg"?'),
     (with_line(19, "backlash_deg = 361"), "lash.backlash_deg", 19, "from 0 to 360 (degrees)"),
     (with_line(19, "backlash_deg = 6.0\ngap_mm = 8.4"), "lash", 17, "backlash_deg and gap_mm are given together; give"),
-    (with_line(19, "backlash_deg = 6.0\nratio = 1e-40"), "lash.ratio", 20, "must be from 1e-30 to 1e+30"),
     (ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8e2"), "lash.gap_mm", 19, "is 572.958 degrees, and at most"),
     (ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = -1"), "lash.gap_mm", 19, "a number, 0 or greater (mm)"),
     (ONE_RUN.replace("backlash_deg = 6.0\nradius = 0.08", "gap_mm = 8"), "lash.radius", 17, "missing"),
@@ -395,7 +387,6 @@ BROKEN = [
      "sweep.axes[2].parameter", 48, "changes the angle of lash.gap_mm"),
     (with_line(20, "radius = 1979-05-27"), "lash.radius", 20, "found 1979-05-27"),
     (with_line(20, f"radius = 0x{'f' * 6000}"), "lash.radius", 20, "beyond 64 bits"),
-    (with_line(48, f"values = [1, 0x{'f' * 6000}]"), "sweep.axes[2].values[2]", 48, "beyond 64 bits"),
     (with_line(20, "radius = 0.08\nstifness = 3"), "lash.stifness", 21, '"stiffness" in [lash.contact]'),
     (with_line(22, 'model = "indentatoin"'), "lash.contact.model", 22, 'did you mean "indentation"?'),
     (with_line(23, "stiffness = 0"), "lash.contact.stiffness", 23, "greater than 0 (N/m)"),
@@ -408,7 +399,6 @@ BROKEN = [
     (with_line(35, "step = 3.0"), "solver.step", 35, "longer than the run, end_time = 2 s"),
     (with_line(35, "step = 1e-10"), "solver.step", 35, "at most 1e+09"),
     (with_line(20, "radius = 1e-300"), "lash.radius", 20, "found 1e-300; must be from 1e-30 to 1e+30"),
-    (with_line(16, "damping = 1e308"), "driveline.shafts[3].damping", 16, "must be from 1e-30 to 1e+30"),
     (with_line(15, "stiffness = 1e16"), "driveline.shafts[3].stiffness", 15, "lost in rounding"),
     (with_line(20, "radius = 5e7"), "lash.contact.stiffness", 23, "1.023e+21 N m/rad here (with"),
     (with_line(3, "inertias = [1e11, 0.002, 0.002, 0.002]"), "driveline.inertias[1]", 3, "lost in rounding"),
@@ -419,7 +409,6 @@ BROKEN = [
      "sweep.axes[1].stop", 44, "lost in rounding"),
     (with_line(37, "max_events = 100001"), "solver.max_events", 37, "a whole number from 1 to 100000"),
     (with_line(42, 'parameter = "load.ration"'), "sweep.axes[1].parameter", 42, 'did you mean "load.ratio"?'),
-    (with_line(42, 'parameter = "ratio"'), "sweep.axes[1].parameter", 42, 'did you mean "load.ratio"?'),
     (with_line(42, 'parameter = "driveline.inertias"'), "sweep.axes[1].parameter", 42, "driveline.inertias[1]"),
     (with_line(42, 'parameter = "lash.contact.model"'), "sweep.axes[1].parameter", 42, "no quantity that can be swept"),
     (with_line(42, 'parameter = "lash.backlash_deg"'), "sweep.axes[2].parameter", 47, "swept by sweep.axes[1] already"),
@@ -457,16 +446,11 @@ def test_broken_config_is_reported_where_it_is_broken(text, key, line, message):
     error = errors_of(text)
     found = {problem.key: problem for problem in error.problems}
     assert key in found, str(error)
+    assert len(found) == 1 or text.count("\n") <= 20  # one mistake in a whole config is one error
     assert message in found[key].message
     assert found[key].line == line
     where = f"line {line}, {key}:" if line is not None else f"  {key}:"
     assert where in str(error)
-
-
-@pytest.mark.parametrize("case", [case for case in BROKEN if case[0].count("\n") > 20], ids=lambda case: case[1])
-def test_one_mistake_is_one_error(case):
-    text, key, _, _ = case
-    assert [problem.key for problem in errors_of(text).problems] == [key]
 
 
 def test_whole_config_is_valid():
@@ -664,10 +648,13 @@ def test_optional_and_nested_keys_can_be_swept(parameter):
     assert get_value(replace_values(study, {parameter: 0.5}), parameter) == 0.5
 
 
-def test_axis_may_name_an_inertia():
+def test_axis_may_name_an_inertia_and_sweep_its_number():
     study = study_from_text(axis('parameter = "driveline.inertias[ring]"\nvalues = [0.5, 1]'))
-    assert study.sweep is not None
     assert study.sweep.axes[0].parameter == "driveline.inertias[4]"
+    for values in ("[1, 2, 3]", "[1.0, 4.0]"):
+        assert study_from_text(axis(f'parameter = "load.on"\nvalues = {values}')).sweep is not None
+    error = errors_of(axis('parameter = "load.on"\nstart = 1\nstop = 4\ncount = 3'))
+    assert "found 2.5; must be an inertia's number" in error.problems[0].message
 
 
 def test_swept_key_may_be_left_out():
@@ -696,26 +683,7 @@ def test_absurd_grids_are_refused_before_anything_is_allocated():
     assert longest.sweep.axes[0].count_of_values == 10_000_000
 
 
-@pytest.mark.parametrize("values", ["[1, 2, 3]", "[1.0, 4.0]"])
-def test_inertia_number_can_be_swept_in_whole_numbers(values):
-    assert study_from_text(axis(f'parameter = "load.on"\nvalues = {values}')).sweep is not None
-    error = errors_of(axis('parameter = "load.on"\nstart = 1\nstop = 4\ncount = 3'))
-    assert "found 2.5; must be an inertia's number" in error.problems[0].message
-
-
 # --- Values, text, digest --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "text", [WHOLE, ONE_RUN, STARTER, PRESET, *(path.read_text(encoding="utf-8") for path in CONFIGS)]
-)
-def test_resolved_config_gives_an_equal_study(text):
-    study = study_from_text(text)
-    resolved = to_toml(study)
-    assert "preset" not in resolved
-    assert study_from_text(resolved) == study
-    assert to_toml(study_from_text(resolved)) == resolved
-    assert digest(study_from_text(resolved)) == digest(study)
 
 
 def test_digest_is_of_what_decides_the_results():
@@ -853,9 +821,7 @@ WRONG_DESIGNS = {
 @pytest.mark.parametrize("case", WRONG_DESIGNS)
 def test_wrong_design_is_reported_where_it_is_wrong(case):
     text, key, message = WRONG_DESIGNS[case]
-    with pytest.raises(ConfigError) as caught:
-        study_from_text(text, "study.toml")
-    (found,) = caught.value.problems
+    (found,) = errors_of(text).problems
     assert found.key == key
     assert message in found.message
     assert found.line is not None
