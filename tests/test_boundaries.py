@@ -127,16 +127,6 @@ def test_regions_fill_the_map_and_have_the_labels_of_runs_in_them(coarse):
         assert labels == [label] or abs(margin) < 1e-3
 
 
-def test_areas_are_those_of_a_finer_map(finer):
-    """A cell that a boundary passes through counts as a whole in one of its regions."""
-    dense = clunk.sweep(figure(161))
-    cells = dense.sequence[:-1, :-1]  # of which each has its corner's label
-    for label, area in finer.areas.items():
-        if label in dense.labels:
-            share = (cells == dense.labels.index(label)).mean()
-            assert share == pytest.approx(area, abs=3.0 / 160)
-
-
 def test_thin_regions_are_found_between_cells_of_one_label(finer):
     cells = set(clunk.sweep(figure(61)).labels)
     thin = [region for region in finer.regions if region.label not in cells]

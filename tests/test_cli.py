@@ -229,9 +229,11 @@ def test_info_checks_a_file_and_names_a_damaged_one(command, small, here):
         assert "do not match its checksum" in " ".join(err.split())
 
 
-def test_failed_cells_exit_3_and_name_their_cause(command, small):
-    code, _, err = command("sweep", small, "--set", "sweep.axes[1].start=-1.0", "--set", "sweep.axes[1].stop=9.0")
-    assert code == 3
+def test_failed_cells_exit_3_and_name_their_cause_also_where_the_sweep_was_finished_before(command, small):
+    moved = ["--set", "sweep.axes[1].start=-1.0", "--set", "sweep.axes[1].stop=9.0", "--json"]
+    (first, out, err), (second, again, _) = command("sweep", small, *moved), command("sweep", small, *moved)
+    assert first == second == 3
+    assert json.loads(out)["counts"] == json.loads(again)["counts"]
     assert "5 cells failed: no initial flank" in err
     assert "load.ratio = -1" in err
 
@@ -309,13 +311,6 @@ def test_compare_tells_equal_from_different(command, small, here):
     assert json.loads(out)
 
 
-def test_a_finished_sweep_answers_in_json_and_with_its_failures(command, small):
-    moved = ["--set", "sweep.axes[1].start=-1.0", "--set", "sweep.axes[1].stop=9.0", "--json"]
-    first, second = command("sweep", small, *moved), command("sweep", small, *moved)
-    assert first[0] == second[0] == 3
-    assert json.loads(first[1])["counts"] == json.loads(second[1])["counts"]
-
-
 def test_an_axis_that_changes_nothing_is_noted(command, small):
     axis = ["--set", 'sweep.axes[1].parameter="lash.contact.restitution"', "--set", "sweep.axes[1].stop=1.0"]
     code, _, err = command("sweep", small, *axis)
@@ -344,11 +339,17 @@ def test_messages_keep_within_80_columns(command, small):
         assert max(map(len, err.splitlines())) <= 80
 
 
-def test_modes_prints_the_report_s_numbers(command):
+def test_modes_prints_the_report_s_numbers_and_names_what_each_mode_moves(command):
     code, out, _ = command("modes", ROOT / "configs/nominal.toml")
     assert code == 0
     for number in ("3.2", "16.2", "30.8", "258.3", "1.46", "3.13", "6.69", "14.32"):
         assert f" {number}" in out
+    assert re.search("shuffle +mode 1", out)
+    assert "pinion 39 %, ring 39 %" in out
+    record = json.loads(command("modes", ROOT / "configs/nominal.toml", "--json")[1])
+    assert record["shuffle"] == 1
+    assert record["inertias"] == ["motor", "flange", "pinion", "ring"]
+    assert [sum(shares) for shares in record["closed"]["kinetic_energy_share"]] == pytest.approx([1.0] * 4)
 
 
 @pytest.mark.parametrize("name", ["modes", "simulate"])
@@ -382,16 +383,6 @@ def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):
     assert err.startswith("warning: the file's one [[driveline.shafts]] replaces all 6 shafts of preset")
     assert "no stiffness joins input shaft and output shaft to engine" in " ".join(err.split())
     assert "warning" not in out
-
-
-def test_modes_names_what_each_mode_moves(command):
-    _, out, _ = command("modes", ROOT / "configs/nominal.toml")
-    assert re.search("shuffle +mode 1", out)
-    assert "pinion 39 %, ring 39 %" in out
-    record = json.loads(command("modes", ROOT / "configs/nominal.toml", "--json")[1])
-    assert record["shuffle"] == 1
-    assert record["inertias"] == ["motor", "flange", "pinion", "ring"]
-    assert [sum(shares) for shares in record["closed"]["kinetic_energy_share"]] == pytest.approx([1.0] * 4)
 
 
 @pytest.mark.parametrize("origin", [(), ("--from", "car")], ids=["rig", "car"])

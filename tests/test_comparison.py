@@ -98,16 +98,6 @@ A = [["NI", "SS(1)", "DS(1)"], ["SS(1)", "SS(1)", "DS(2)"]]
 # --- maps against maps
 
 
-def test_a_map_is_the_same_as_itself() -> None:
-    comparison = compare(like_figure_3_4(), like_figure_3_4())
-    assert comparison.same_regimes
-    assert comparison.identical
-    assert comparison.configs_equal
-    assert not comparison.transitions
-    assert comparison.share == 0.0
-    assert "the same in 1,271 cells" in text_of(comparison)
-
-
 def test_differing_cells_are_counted_by_transition_and_found_by_their_values() -> None:
     b = [["NI", "DS(1)", "DS(1)"], ["DS(1)", "SS(1)", "NI"]]
     comparison = compare(small(A), small(b))

@@ -1,18 +1,15 @@
 """Each operation of the lanes against numpy's, with NaN, infinities and zeros of either sign among the numbers."""
 
-import operator
 from fractions import Fraction
 
 import numba
 import numpy as np
 import pytest
 
-from clunk.core.jit import compiled, inlined_part
-from clunk.core.lanes import pool, vectors
+from clunk.core.jit import compiled
+from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
 
-ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
-COMPARISONS = (operator.gt, operator.ge, operator.lt, operator.le, operator.eq)
 RANDOM = np.random.default_rng(1)
 NAN, INF = np.nan, np.inf
 # as many as there are lanes, eight or sixteen
@@ -20,22 +17,6 @@ A = np.array([[*RANDOM.normal(size=7), 1.0, 2.0, NAN, 3.0, NAN, INF, -INF, 0.0, 
 B = np.array([[*RANDOM.normal(size=7), 1.0, NAN, 2.0, INF, NAN, INF, INF, -0.0, 2.0]])[:, -WIDTH:]
 ALL = (1 << WIDTH) - 1
 BITS = (0, 1, ALL, 1 << WIDTH - 1, 0b1010_0110_0000_1001 & ALL)
-
-
-@inlined_part
-def calculate(p, q, results):
-    vectors.store(results, 0, p + q)
-    vectors.store(results, 1, p - q)
-    vectors.store(results, 2, p * q)
-    vectors.store(results, 3, p / q)
-    return p > q, p >= q, p < q, p <= q, p == q
-
-
-@compiled
-def calculate_sides(a, b, x, results):
-    """Of lanes and lanes, lanes and a number, a number and lanes."""
-    p, q = vectors.load(a, 0), vectors.load(b, 0)
-    return calculate(p, q, results[0]), calculate(p, x, results[1]), calculate(x, q, results[2])
 
 
 @compiled
@@ -62,12 +43,6 @@ def apply(a, b, x, bits, results):
     vectors.store(results, 9, vectors.choose(bits, x, -x))
 
 
-@compiled
-def push_all(items, bits):
-    pool.push_all(items, 0, bits)
-    return vectors.first_of(bits)
-
-
 def holds(bits):
     """(WIDTH,): of each lane its bit."""
     return np.array([bits >> k & 1 for k in range(WIDTH)], bool)
@@ -78,18 +53,6 @@ def same(lanes, expected):
     return np.array_equal(lanes, expected, equal_nan=True) and np.array_equal(
         np.signbit(lanes[~np.isnan(lanes)]), np.signbit(expected[~np.isnan(expected)])
     )
-
-
-@pytest.mark.parametrize("x", [0.7, 1.0, 0.0, NAN])
-def test_arithmetic_and_comparisons_are_those_of_each_lane(x):
-    results = np.zeros((3, len(ARITHMETIC), WIDTH))
-    compared = calculate_sides(A, B, x, results)
-    for bits, numbers, sides in zip(compared, results, ((A[0], B[0]), (A[0], x), (x, B[0])), strict=True):
-        with np.errstate(all="ignore"):
-            assert all(same(lanes, operate(*sides)) for lanes, operate in zip(numbers, ARITHMETIC, strict=True))
-        assert all(0 <= lanes <= ALL for lanes in bits)
-        for lanes, compare in zip(bits, COMPARISONS, strict=True):
-            assert np.array_equal(holds(lanes), compare(*sides))
 
 
 @pytest.mark.parametrize("bits", [*BITS, ~BITS[-1], -1, 1 << WIDTH])  # what is beyond the lanes does not matter
@@ -114,19 +77,6 @@ def test_a_product_and_a_sum_are_rounded_once():
             numbers = [map(Fraction, np.broadcast_to(side, (1, WIDTH))[0].tolist()) for side in sides]
             assert found.tolist() == [float(a * b + c) for a, b, c in zip(*numbers, strict=True)]
     assert np.any(results[0] != 0.0)  # as the product rounded by itself, less that, would be
-
-
-@pytest.mark.parametrize(("bits", "lowest"), [*zip(BITS, (64, 0, 0, WIDTH - 1, 0), strict=True)])
-@pytest.mark.parametrize("first", [0, 3])
-def test_those_set_are_appended_in_order_the_lowest_first(bits, lowest, first):
-    items = pool.make_pool(1, WIDTH + 8, ROW)
-    items.waiting[:], items.length[0], items.items[:] = -1, first, RANDOM.integers(0, 1000, WIDTH)
-    (waiting,), chosen = items.waiting, items.items[holds(bits)]
-    assert push_all(items, bits) == lowest
-    assert items.length[0] == first + chosen.size
-    assert np.array_equal(waiting[first : items.length[0]], chosen)
-    assert np.all(waiting[:first] == -1)
-    assert np.all(waiting[items.length[0] + 1 :] == -1)  # one more place may be overwritten
 
 
 def test_a_stack_is_made_to_begin_where_a_register_does():

@@ -48,6 +48,10 @@ def test_every_quantity_of_a_map_has_a_value_in_each_of_its_cells(results):
         ("last_event_time<0.5", lambda runs: np.nan_to_num(runs.last_event_time) < 0.5),
         ("label = D(1)+S(1)", lambda runs: runs.label_map == "DS(1)SS(1)"),
         ("NI", lambda runs: runs.label_map == "NI"),
+        ("SS", lambda runs: np.strings.find(runs.label_map, "SS") >= 0),
+        ("ds", lambda runs: np.strings.find(runs.label_map, "DS") >= 0),
+        ("OS", lambda runs: np.zeros(runs.shape, bool)),  # for these the torque would have to reverse
+        ("CR", lambda runs: np.zeros(runs.shape, bool)),
         ("chatter", lambda runs: runs.touches > runs.primary_impacts),
     ],
 )

@@ -116,21 +116,6 @@ def test_several_events_in_one_step_are_all_found(step, separation, together):
     assert max(np.count_nonzero(steps == one) for one in steps) >= together
 
 
-@pytest.mark.parametrize("share", [0.0, 0.6, 1.0, 2.0])
-@pytest.mark.parametrize("separation", ["gap", "force"])
-def test_contacts_of_any_damping_keep_their_events(share, separation):
-    """From none to twice the critical damping of the contact mode; above a half, the force falls from the touch on."""
-    critical = 2.0 * float(
-        np.sqrt(reference.Plant().contact_stiffness * 0.001)
-    )  # of the two inertias at the lash in series
-    plant = reference.boere(5.0, 6.0, separation=separation, contact_damping=share * critical)
-    events, _ = reference.run(plant, end_time=0.4)
-    run = stepped(plant, 5e-5, 0.4)
-    assert same_kinds(run, events)
-    # T_c (ωh)⁴/120 = 1e-9 s late a contact period, and a hundred of those in 0.4 s
-    assert run.events["time"] == pytest.approx([event.time for event in events], abs=1e-7)
-
-
 @pytest.mark.parametrize("separation", ["gap", "force"])
 def test_no_backlash_passes_from_flank_to_flank(separation):
     """φθ = 0: wherever the gap opens, the other flank is touched at that instant, to rounding of the time."""

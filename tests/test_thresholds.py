@@ -15,10 +15,8 @@ from clunk.analysis.thresholds import thresholds
 from clunk.plot.analyses import threshold_figure
 from clunk.plot.style import PlotError
 from clunk.results.labels import FAILED
-from clunk.results.quantities import quantity_of
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
-from clunk.sweeping.sweep import sweep
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
 RAMP = ("load.profile=ramp", "solver.method=exact")
@@ -278,18 +276,3 @@ def test_pictures_have_a_curve_for_each_threshold():
         threshold_figure(family)
     with pytest.raises(PlotError, match="no other axis"):
         threshold_figure(thresholds(study(DURATION, of=RAMP), along="load.duration"))
-
-
-@pytest.mark.parametrize(
-    ("short", "full"),
-    [("NI", "label=NI"), ("SS", "single_sided"), ("ds", "double_sided"), ("OS", "opposite_sided"), ("CR", "crossed")],
-)
-def test_types_of_impacts_are_outcomes_by_their_short_names_too(short, full):
-    rig = study()
-    outcome = quantity_of(short, rig)
-    assert outcome == quantity_of(full, rig)
-    results = sweep(study(RATIO))
-    word = {"ds": "DS"}.get(short, short)
-    expected = [word in label for label in results.label_map]
-    assert outcome.of_runs(results).tolist() == expected
-    assert any(expected) == (word not in ("OS", "CR"))  # whose torque would have to reverse

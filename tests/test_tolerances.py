@@ -347,21 +347,15 @@ class TestCommands:
             clunk_api.tolerance_map(study(tolerance("lash.backlash_deg"), axes=""))
 
 
-class TestFromPython:
-    def test_a_file_is_written_and_then_read_instead_of_run(self, toleranced, found, tmp_path):
-        told = []
-        first = clunk_api.tolerance_map(toleranced, tmp_path / "map.h5", progress=lambda done, _: told.append(done))
-        assert told[-1] == 147
-        told.clear()
+def test_a_file_is_written_and_then_read_instead_of_run(toleranced, found, tmp_path):
+    told = []
+    for cells in ([147], []):
         again = clunk_api.tolerance_map(toleranced, tmp_path / "map.h5", progress=lambda done, _: told.append(done))
-        assert not told
-        assert equal(first, found)
+        assert told[-1:] == cells
         assert equal(again, found)
-        assert equal(clunk_api.read_tolerance_map(tmp_path / "map.h5"), found)
-        data = clunk_api.open_results(tmp_path / "map.h5")
-        labels = np.array([*found.labels, "failed"])
-        assert np.array_equal(data["most_likely_label"], labels[found.sequence])
-        assert data["probability"].sel(label="NI", load_ratio=0.0).min() == 1.0
+        told.clear()
+    data = clunk_api.open_results(tmp_path / "map.h5")
+    assert np.array_equal(data["most_likely_label"], np.array([*found.labels, "failed"])[found.sequence])
 
 
 class TestFigures:

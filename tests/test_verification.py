@@ -100,9 +100,6 @@ def test_cells_with_a_lost_rebound_are_told_by_their_touches():
     assert found.touches_equal < found.cells
 
 
-# --- whatever the study
-
-
 # --- the command
 
 
@@ -152,18 +149,3 @@ def test_verify_exits_3_where_cells_failed(verify_command):
     code, out, _ = verify_command(NOMINAL + nowhere, "--set", "sweep.axes[1].stop=-1.0")
     assert code == 3
     assert "No cell has a label in both maps" in out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--set", "solver.step=0.01"], "unstable"),
-        (["--set", "load.ratoi=1.0"], 'did you mean "ratio"'),
-        (["--workers", "0"], "--workers"),
-    ],
-)
-def test_bad_input_exits_2_with_a_sentence(verify_command, arguments, named):
-    code, out, err = verify_command(NOMINAL, *arguments)
-    assert (code, out) == (2, "")
-    assert named in err
-    assert "Traceback" not in err
