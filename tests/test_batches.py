@@ -139,7 +139,7 @@ def test_the_memory_that_many_drivelines_take_at_once_is_bounded_however_many_fl
 
 
 def test_of_drivelines_about_critical_damping_each_is_what_it_is_alone():
-    study = study_from_text(reference.config_of(CRITICAL, method="exact"))
+    study = reference.study_of(CRITICAL)
     dampings = np.array([0.3, 0.4, 0.5, 0.4 + 1e-12, 0.0, 3.0])
     same_as_alone(study, {"driveline.shafts[1].damping": dampings})
     tables = prepared_of(study, {"driveline.shafts[1].damping": dampings})
@@ -176,7 +176,7 @@ def test_breakpoints_that_cross_are_refused_though_each_value_is_sound():
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, 1e31])
 def test_a_value_that_is_not_allowed_is_refused_with_its_point(value):
-    study = study_from_text(reference.config_of(Plant(), method="exact"))
+    study = reference.study_of(Plant())
     with pytest.raises(clunk.ConfigError, match="point 2: found") as refused:
         list(batches.prepare_many(study, ["driveline.inertias[3]"], np.array([[0.002], [value], [0.003]])))
     assert [problem.key for problem in refused.value.problems] == ["driveline.inertias[3]"]

@@ -10,7 +10,7 @@ from test_sweeping import equal, regimes, same_as_single_run
 from clunk import plot
 from clunk.analysis.comparison import compare
 from clunk.plot.maps import scatter
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
@@ -113,21 +113,6 @@ class TestCells:
         assert equal(sampled, sweep(study_from_text(SAMPLE), workers=1))
         other = sweep(study_from_text(SAMPLE, "x", ["sweep.sampling.seed=4"]))
         assert not np.array_equal(sampled.severity, other.severity)
-
-    def test_four_axes_are_the_maps_of_two_at_each_value_of_the_others(self, four):
-        two = study_from_text(BASE + grid("load.ratio", "lash.backlash_deg"))
-        for stiffness in AXES["lash.contact.stiffness"]:
-            for damping in AXES["driveline.shafts[1].damping"]:
-                fixed = {"lash.contact.stiffness": stiffness, "driveline.shafts[1].damping": damping}
-                whole, part = sweep(replace_values(two, fixed)), four.at(fixed)
-                assert part.shape == (6, 4, 1, 1)
-                assert np.array_equal(regimes(part)[:, :, 0, 0], regimes(whole))
-                for name in CELL_QUANTITIES:
-                    if name != "sequence":  # codes depend on what else is in a file
-                        mine = getattr(part, name)[:, :, 0, 0]
-                        np.testing.assert_array_equal(mine, getattr(whole, name), strict=True, err_msg=name)
-                for name in IMPACT_QUANTITIES:
-                    np.testing.assert_array_equal(getattr(part, name), getattr(whole, name), strict=True, err_msg=name)
 
 
 class TestSlices:

@@ -8,7 +8,6 @@ from helpers.starts import started
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 
@@ -89,7 +88,7 @@ def test_the_contact_period_is_that_of_the_two_inertias_at_the_lash(nominal):
 def single(between=(1, "ground")):
     """The study of an inertia with nothing but a lash to ground."""
     plant = reference.Plant((0.002,), (), between, 1e3, 0.5, np.deg2rad(1.0), acceleration_of=1)
-    return study_from_text(reference.config_of(plant))
+    return reference.study_of(plant, method="rk4")
 
 
 class TestLashToGround:
@@ -114,7 +113,7 @@ def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():
     """The lash hangs off a grounded inertia: whatever the torque, nothing presses its flanks together."""
     plant = reference.Plant((0.01, 0.002), ((1, "ground", 30.0, 0.1),), (1, 2), acceleration_of=1)
     with pytest.raises(ClunkError, match="initial flank"):
-        simulate(study_from_text(reference.config_of(plant)))
+        simulate(reference.study_of(plant, method="rk4"))
 
 
 def test_a_run_from_the_preload_is_the_run(nominal):

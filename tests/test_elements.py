@@ -13,7 +13,6 @@ from helpers.randomplants import clutch_plant, element_plant, state_in_the_gaps
 from clunk.core.regimes import rubs
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 
 END_TIME = 0.3  # s
@@ -59,7 +58,7 @@ CASES = [
 
 
 def held_to_the_reference(plant, method, state=None):
-    study = study_from_text(reference.config_of(plant, method=method, end_time=END_TIME))
+    study = reference.study_of(plant, method=method, end_time=END_TIME)
     line = Driveline.from_study(study)
     if state is None and any(rubs(friction, line.rigid_motion) for friction, _ in line.frictions):
         with pytest.raises(ClunkError, match=r"shafts\[\d+\] slips as the driveline rolls"):

@@ -3,7 +3,7 @@
 import faulthandler
 import gc
 import signal
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from multiprocessing import get_context
 
 import numpy as np
@@ -11,22 +11,8 @@ import pytest
 from test_sweeping import equal, figure_3_4
 
 from clunk.sweeping import engines
-from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import Threads, run_tiles
 from clunk.sweeping.sweep import sweep
-
-
-@pytest.fixture(scope="module")
-def grid():
-    return Grid(figure_3_4(17, step=2e-4))
-
-
-@pytest.mark.parametrize("workers", [1, 3])
-def test_threads_go_on_until_nothing_waits_or_runs(grid, workers):
-    with ThreadPoolExecutor(workers) as engine:
-        tiles = run_tiles(engine, grid, np.arange(grid.design.cells))
-        ran = [cell for tile in tiles for cell in tile.cells.tolist()]
-    assert sorted(ran) == list(range(grid.design.cells))
 
 
 class OneAtATime(Executor):

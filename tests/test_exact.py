@@ -9,16 +9,11 @@ import numpy as np
 import pytest
 from helpers import margins, reference
 from helpers.agreement import both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
+from helpers.reference import CONTACTS
 
 from clunk.api import run_points
 from clunk.core.status import QUALITY_GRAZING
-from clunk.study.config import study_from_text
 
-CONTACTS = {
-    "gap": {"separation": "gap"},
-    "force": {"separation": "force"},
-    "restitution": {"restitution": 0.5},
-}
 POINTS = [
     (2.0, 6.0),
     (5.0, 6.0),
@@ -43,23 +38,18 @@ def from_preload(plant):
 
 @pytest.mark.parametrize("contact", CONTACTS)
 @pytest.mark.parametrize(("ratio", "backlash"), POINTS)
-class TestTheReportsDriveline:
-    def test_every_event_and_every_severity(self, ratio, backlash, contact):
-        """And there is nothing to come when the run is complete, as the reference has it of three times as long."""
-        plant = reference.boere(ratio, backlash, **CONTACTS[contact])
-        run = both_methods_are_the_reference(plant, 2.0, events=from_preload(plant))
-        assert run.complete
-        assert run.end < 2.0
-
-    def test_a_run_that_is_cut_off_is_not_complete(self, ratio, backlash, contact):
-        plant = reference.boere(ratio, backlash, **CONTACTS[contact])
-        whole = exact(plant)
-        last = float(whole.events["time"][-1])
-        cut = exact(plant, end_time=0.999 * last)
-        assert not cut.complete
-        assert cut.end == 0.999 * last
-        assert len(cut.events) < len(whole.events)
-        assert np.array_equal(cut.events["time"], whole.events["time"][: len(cut.events)])
+def test_events_and_severities_are_the_references_and_only_a_whole_run_is_complete(ratio, backlash, contact):
+    """There is nothing to come when it is, as the reference has it of three times as long."""
+    plant = reference.boere(ratio, backlash, **CONTACTS[contact])
+    whole = both_methods_are_the_reference(plant, 2.0, events=from_preload(plant))
+    assert whole.complete
+    assert whole.end < 2.0
+    end = 0.999 * float(whole.events["time"][-1])
+    cut = exact(plant, end_time=end)
+    assert not cut.complete
+    assert cut.end == end
+    assert len(cut.events) < len(whole.events)
+    assert np.array_equal(cut.events["time"], whole.events["time"][: len(cut.events)])
 
 
 # Turns within a phase's first step, and turns above the guard's value at the end of the step.
@@ -77,7 +67,7 @@ def test_the_margin_is_the_smallest_of_all_near_misses(ratio, backlash, contact)
 
 def quality_of(plant):
     """(label, margin, whether it grazed)."""
-    study = study_from_text(reference.config_of(plant, method="exact"))
+    study = reference.study_of(plant)
     run = run_points(study, {"lash.backlash_deg": [study.lash.backlash_deg]}, workers=1)
     return run.label_map[0], run.margin[0], bool(run.quality[0] & QUALITY_GRAZING)
 

@@ -19,7 +19,6 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.tables import ACCELERATION, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
-from clunk.study.config import study_from_text
 
 # Rounding of a few products of tables that are each good to some 1e-15, and a modal basis to its condition (up to 1e4).
 TIGHT = 1e-11
@@ -131,7 +130,7 @@ class Flow:
     """One flow's tables, with the affine system that they stand for; of states and inputs, each column is a lane's."""
 
     def __init__(self, plant, which):
-        study = study_from_text(reference.config_of(plant, method="exact"))
+        study = reference.study_of(plant)
         system, flows = driveline.prepare(study)
         for field in flows._fields:
             setattr(self, field, getattr(flows, field)[which])
@@ -264,7 +263,7 @@ def test_runs_have_the_events_severities_and_margins_of_the_reference(plant):
     state = np.concatenate([random.uniform(-0.1, 0.1, n), random.uniform(-3.0, 3.0, n)])
     state[:n] += plant.twist * (0.2 * plant.backlash - plant.twist @ state[:n]) / (plant.twist @ plant.twist)
     events, _ = reference.run(plant, end, state)
-    run = started(study_from_text(reference.config_of(plant, method="exact", end_time=end)), state)
+    run = started(reference.study_of(plant, end_time=end), state)
     assert [(run.kind_name(k), side) for k, side in enumerate(run.events["side"])] == [
         (event.kind, event.side) for event in events
     ]

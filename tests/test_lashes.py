@@ -10,7 +10,6 @@ from helpers.reference import Lash, Plant
 
 from clunk.simulation.driveline import build
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 
 END_TIME = 0.3  # s
@@ -25,8 +24,8 @@ CHAIN = Plant(
 )
 
 
-def study_of(plant, method="exact", step=2e-5, end_time=END_TIME):
-    return study_from_text(reference.config_of(plant, method=method, step=step, end_time=end_time))
+def study_of(plant, method="exact", step=2e-5):
+    return reference.study_of(plant, method, step, END_TIME)
 
 
 @pytest.mark.parametrize("method", ["exact", "rk4"])
@@ -45,18 +44,6 @@ def test_a_second_lash_that_never_opens_leaves_the_first_one_alone(method):
 
 def replaced(lash, **values):
     return lash._replace(**values)
-
-
-@pytest.mark.parametrize("method", ["exact", "rk4"])
-def test_the_order_in_the_file_does_not_matter(method):
-    run = simulate(study_of(CHAIN, method))
-    swapped = simulate(study_of(replace(CHAIN, other_lashes=(AXLE, GEARBOX)), method))
-    other = [(kind, side, 1 - lash) for kind, side, lash in happened_in(swapped)]
-    assert happened_in(run) == other
-    assert run.events["time"] == pytest.approx(swapped.events["time"], abs=1e-12)
-    for one, two in zip(run.lashes, reversed(swapped.lashes), strict=True):
-        assert one.label == two.label
-        assert one.impact_severity == pytest.approx(two.impact_severity, rel=1e-9)
 
 
 def forked(order):

@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 from helpers import margins, reference
 from helpers.agreement import TIME, both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
-from helpers.reference import Plant, lag, pulse, ramp, sine, smooth, table
+from helpers.reference import CONTACTS, Plant, lag, pulse, ramp, sine, smooth, table
 
 from clunk.simulation.driveline import Driveline, prepare
-from clunk.simulation.trajectory import simulate
-from clunk.study.config import study_from_text
-from clunk.study.study import replace_values
-from clunk.sweeping.sweep import sweep
 
-CONTACTS = {
-    "gap": {"separation": "gap"},
-    "force": {"separation": "force"},
-    "restitution": {"restitution": 0.5},
-}
 PROFILES = {
     "ramp": ramp(0.1),
     "smooth": smooth(0.15),
@@ -46,7 +37,7 @@ UNDAMPED = Plant(shafts=((1, 2, 31.3, 0.0), (2, 3, 31.3, 0.0), (4, "ground", 31.
 
 def frequencies(plant, closed):
     """The natural frequencies of a plant  [Hz]."""
-    study = study_from_text(reference.config_of(plant))
+    study = reference.study_of(plant, method="rk4")
     return Driveline.from_study(study).modes(closed=closed).frequency
 
 
@@ -59,7 +50,7 @@ def test_a_wave_in_resonance(closed, mode, off, contact):
     frequency = float(frequencies(plant, closed)[mode]) * (1.0 + off)
     profile = sine(0.5, frequency) if mode else smooth(0.5 / frequency)
     plant = replace(plant, profile=profile)
-    _, flows = prepare(study_from_text(reference.config_of(plant, method="exact")))
+    _, flows = prepare(reference.study_of(plant))
     if plant.restitution is None or not closed:  # the modes with the lash locked are others
         assert flows.modal[int(closed)] == (off > 1e-4)
     both_methods_are_the_reference(plant, 0.3)
@@ -101,24 +92,15 @@ def test_a_short_ramp_is_a_step_half_its_duration_later():
 @pytest.mark.parametrize(
     ("profile", "key"), [("ramp", "duration"), ("smooth", "duration"), ("lag", "time_constant"), ("pulse", "duration")]
 )
-def test_swept_durations_are_single_runs_and_0_a_step_or_nothing(profile, key, method):
-    text = reference.config_of(replace(NOMINAL, profile=reference.Profile(profile, **{key: 0.1})), method=method)
-    axis = f'[[sweep.axes]]\nparameter = "load.{key}"\nvalues = [0.0, 0.05, 0.2]\n'
-    study = study_from_text(text + axis)
-    swept = sweep(study)
-    single = [simulate(replace_values(study, {f"load.{key}": value})) for value in (0.0, 0.05, 0.2)]
-    at_once = exact(NOMINAL, method=method)
-    assert [swept.labels[code] for code in swept.sequence] == [run.label for run in single]
-    assert swept.severity.tolist() == [run.severity for run in single]
-    assert swept.last_event_time.tolist() == pytest.approx(
-        [run.events["time"][-1] if len(run.events) > 1 else np.nan for run in single], abs=0.0, nan_ok=True
-    )
+def test_a_duration_of_0_is_a_step_or_nothing(profile, key, method):
+    run = exact(replace(NOMINAL, profile=reference.Profile(profile, **{key: 0.0})), method=method)
     if profile == "pulse":
-        assert single[0].label == "NI"
-        assert single[0].complete
+        assert run.label == "NI"
+        assert run.complete
     else:
-        assert single[0].severity == pytest.approx(at_once.severity, rel=1e-12)
-        assert single[0].events["time"] == pytest.approx(at_once.events["time"], abs=1e-12)
+        at_once = exact(NOMINAL, method=method)
+        assert run.severity == pytest.approx(at_once.severity, rel=1e-12)
+        assert run.events["time"] == pytest.approx(at_once.events["time"], abs=1e-12)
 
 
 # Kinks and jumps

@@ -114,7 +114,7 @@ def test_the_torque_behind_a_gear_is_ratio_times_its_opposite():
         backlash=np.deg2rad(1.0),
         acceleration_of=1,
     )
-    study = study_from_text(reference.config_of(plant))
+    study = reference.study_of(plant, method="rk4")
     driveline = Driveline.from_study(study)
     assert driveline.matrices(closed=False)[1] == pytest.approx(
         np.array([[10.0, -30.0], [-30.0, 90.0 + 20.0]]), rel=1e-14

@@ -5,12 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers import general, reference
-from helpers.reference import Plant, lag, pulse, ramp, sine, smooth, step, table
+from helpers.reference import CONTACTS, Plant, lag, pulse, ramp, sine, smooth, step, table
 from helpers.starts import started
 from scipy.integrate import solve_ivp
 
 from clunk.simulation.history import sample
-from clunk.study.config import study_from_text
 
 PROFILES = {
     "step": step(),
@@ -95,7 +94,7 @@ def test_an_inertia_on_a_shaft_moves_by_the_closed_form(name, method):
         times = np.array([0.03, 0.2, 0.3, 0.47])
         moved = np.array([reference.run(plant, end_time, state)[1] for end_time in times]).T
     else:
-        study = study_from_text(reference.config_of(plant, end_time=0.5, method=method))
+        study = reference.study_of(plant, end_time=0.5, method=method)
         history = sample(started(study, state), step=1e-3, until=0.5)
         after = history.after_step > 0.0
         times, moved = history.after_step[after], np.vstack((history.angle[after, 0], history.velocity[after, 0]))
@@ -106,7 +105,7 @@ def test_an_inertia_on_a_shaft_moves_by_the_closed_form(name, method):
 
 
 @pytest.mark.parametrize("profile", [step(), ramp(0.1), table((0.0, 0.1, 0.1), (-6.0, -4.0, -1.0))], ids=str)
-@pytest.mark.parametrize("contact", [{"separation": "gap"}, {"separation": "force"}, {"restitution": 0.5}], ids=str)
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
 def test_every_phase_of_the_reference_is_that_of_a_general_integrator(contact, profile):
     """DOP853 from each event to the next, so that not all rests on matrix exponentials; kinks cost it small steps."""
     plant = reference.boere(5.0, 6.0, profile=profile, **contact)

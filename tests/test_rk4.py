@@ -11,7 +11,6 @@ from helpers.general import OneLash
 from clunk.core.rk4.propagator import rk4_growth
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 
 # An error that goes with h⁴ falls sixteenfold when the step halves. The next order leaves 16 ± 16 hλ, which is 0.6 for
@@ -163,7 +162,7 @@ def test_a_run_ends_where_it_is_complete_or_cut_off():
     assert whole.events["time"][-1] < whole.end < 2.0
 
 
-@pytest.mark.parametrize("contact", [{"separation": "gap"}, {"separation": "force"}, {"restitution": 0.5}], ids=str)
+@pytest.mark.parametrize("contact", reference.CONTACTS.values(), ids=reference.CONTACTS)
 def test_stopping_early_changes_nothing(contact, monkeypatch):
     """What is proved complete stays so: five times the end time adds no event and no acceleration."""
     plants = [reference.boere(ratio, gap, **contact) for ratio in (0.0, 2.5, 5.0, 10.0) for gap in (0.0, 6.0, 16.0)]
@@ -176,7 +175,7 @@ def test_stopping_early_changes_nothing(contact, monkeypatch):
 
     monkeypatch.setattr(driveline, "prepare", unproved)
     for plant, short in zip(plants, early, strict=True):
-        whole = simulate(study_from_text(reference.config_of(plant, end_time=10.0)))
+        whole = simulate(reference.study_of(plant, end_time=10.0, method="rk4"))
         assert short.complete
         assert not whole.complete
         assert np.array_equal(short.states, whole.states)

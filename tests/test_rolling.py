@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.reference import CONTACTS, study_of
 from helpers.starts import started
 
 from clunk.api import run_points
@@ -20,11 +21,6 @@ from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError
 
-CONTACTS = {
-    "gap": {"separation": "gap"},
-    "force": {"separation": "force"},
-    "restitution": {"restitution": 0.5},
-}
 METHODS = ("rk4", "exact")
 CONFIGS = Path(__file__).parents[1] / "configs"
 PAIR = reference.Plant(
@@ -66,10 +62,6 @@ TRUCK = reference.Plant(
     acceleration_of=2,
     profile=reference.ramp(0.25),
 )  # fmt: skip
-
-
-def study_of(plant, method="exact", step=1e-4, end_time=1.0):
-    return study_from_text(reference.config_of(plant, step=step, end_time=end_time, method=method))
 
 
 def steady(plant):

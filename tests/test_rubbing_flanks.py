@@ -12,7 +12,7 @@ from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import load_study, study_from_text
+from clunk.study.config import load_study
 from clunk.study.study import replace_values
 
 METHODS = ["exact", "rk4"]
@@ -88,7 +88,7 @@ def test_a_flank_lets_go_where_the_pull_exceeds_the_friction_beside_it(method):
 
 
 def study_of(plant):
-    return study_from_text(reference.config_of(plant, method="exact", end_time=END_TIME))
+    return reference.study_of(plant, end_time=END_TIME)
 
 
 def test_the_order_of_lashes_and_shafts_does_not_matter():

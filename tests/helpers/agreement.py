@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from clunk.simulation.energy import balance
-from clunk.study.config import study_from_text
 from helpers import reference
 from helpers.randomplants import nudged
 from helpers.starts import started
@@ -24,7 +23,7 @@ SEVERITY = {"exact": 1e-9, "rk4": 3e-6}  # relative
 
 
 def exact(plant, state=None, end_time=2.0, method="exact", step=1e-4):
-    study = study_from_text(reference.config_of(plant, step=step, end_time=end_time, method=method))
+    study = reference.study_of(plant, step=step, end_time=end_time, method=method)
     return started(study, state)
 
 

@@ -2,8 +2,14 @@
 
 import numpy as np
 
+from clunk.study.config import study_from_text
 from helpers.loads import PARAMETERS
 from helpers.plant import Shaft
+
+
+def study_of(plant, method="exact", step=1e-4, end_time=2.0):
+    """The study of a plant."""
+    return study_from_text(config_of(plant, step, end_time, method))
 
 
 def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):

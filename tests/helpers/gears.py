@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from clunk.study.config import study_from_text
 from clunk.study.study import Study, replace_values
 from helpers import reference
 from helpers.reference import Plant
@@ -43,7 +42,7 @@ def geared(
         before=plant.before * torque,
         after=plant.after * torque,
     )
-    return replace_values(study_from_text(reference.config_of(driveline, step, end_time, method)), ratios)
+    return replace_values(reference.study_of(driveline, method, step, end_time), ratios)
 
 
 def _lever_and_ratio(ends, turns):

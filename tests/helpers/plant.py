@@ -10,6 +10,7 @@ from scipy.linalg import null_space
 from helpers.elements import STICK, Friction, Lash, Mode, Stages
 from helpers.loads import STEP, Profile
 
+CONTACTS = {"gap": {"separation": "gap"}, "force": {"separation": "force"}, "restitution": {"restitution": 0.5}}
 FITS = 1e-9  # a rate across a joint, relative to those of its ends, that is rounding
 
 

@@ -25,14 +25,14 @@ import numpy as np
 from scipy.linalg import expm, null_space
 from scipy.optimize import brentq
 
-from helpers.configs import config_of
+from helpers.configs import config_of, study_of
 from helpers.elements import OPEN, STICK, Friction, Lash, Mode, Stages
 from helpers.loads import Profile, lag, pulse, ramp, sine, smooth, step, table
-from helpers.plant import FITS, Plant, Shaft, boere
+from helpers.plant import CONTACTS, FITS, Plant, Shaft, boere
 
 __all__ = [
-    "Friction", "Lash", "Mode", "Plant", "Profile", "Shaft", "Stages", "boere", "config_of", "lag", "pulse",
-    "ramp", "sine", "smooth", "step", "table",
+    "CONTACTS", "Friction", "Lash", "Mode", "Plant", "Profile", "Shaft", "Stages", "boere", "config_of", "lag", "pulse",
+    "ramp", "sine", "smooth", "step", "study_of", "table",
 ]  # fmt: skip
 
 ORDER = 10
