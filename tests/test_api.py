@@ -29,6 +29,7 @@ TITLE = '<script>alert("x")</script> & co'
 SMALL = f"""
 title = '{TITLE}'
 driveline.preset = "boere-2008"
+solver.method = "exact"
 [[sweep.axes]]
 parameter = "load.ratio"
 start = 0.0

@@ -104,7 +104,7 @@ def clunk(directory, *arguments, before="pass"):
     (directory / "map.toml").write_text(CONFIG)
     code = f"import sys; {before}; sys.argv[0] = 'clunk'; from clunk.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", code, "sweep", "map.toml", "-o", "map.h5", "--no-boundaries", *arguments],
+        [sys.executable, "-c", code, "sweep", "map.toml", "-o", "map.h5", *arguments],
         cwd=directory,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -117,7 +117,7 @@ def clunk(directory, *arguments, before="pass"):
 def swept(command, here):
     """Sweep in this process with such options: exit code, stdout, stderr."""
     (here / "map.toml").write_text(CONFIG)
-    return lambda *options: command("sweep", "map.toml", "-o", "map.h5", "--no-boundaries", *options)
+    return lambda *options: command("sweep", "map.toml", "-o", "map.h5", *options)
 
 
 def words(text):

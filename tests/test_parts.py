@@ -26,6 +26,8 @@ CONFIG = """
 preset = "boere-2008"
 [solver]
 step = 2e-4
+[sweep]
+boundaries = false
 [[sweep.axes]]
 parameter = "load.ratio"
 start = 0.0

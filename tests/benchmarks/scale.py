@@ -7,7 +7,6 @@ Each size runs in a process of its own, in the directory that TMPDIR names.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
 import json
 import math
@@ -24,7 +23,7 @@ import numpy as np
 from clunk.results import netcdf, store
 from clunk.study.config import study_from_text
 from clunk.study.study import Study, to_toml
-from clunk.sweeping import cells, engines
+from clunk.sweeping import cells
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.parts import Parts, WorkingDirectory
 from clunk.sweeping.reduction import RegimeReduction
@@ -132,58 +131,14 @@ def measure(count: float) -> dict[str, object]:
     }
 
 
-def measure_tasks(count: float, workers: int) -> None:
-    """The same tiles by the workers of a scheduler: what a tile costs on its way, and how much of that here."""
-    from clunk.sweeping import distributed
-
-    study = study_of(count)
-    preload = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}] ; import scale ; scale.make_empty()"
-    dask = [sys.executable, "-m", "dask"]
-    with tempfile.TemporaryDirectory() as scratch, contextlib.ExitStack() as ending:
-        file = Path(scratch) / "scheduler.json"
-        options = ["--no-dashboard", "--scheduler-file", str(file)]
-        commands = [[*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *options]]
-        commands += workers * [
-            [*dask, "worker", *options, "--nthreads", "1", "--preload", preload, "--local-directory", scratch]
-        ]
-        for command in commands:
-            process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-            ending.callback(process.wait)
-            ending.callback(process.terminate)
-            while not file.exists() or not file.read_text():
-                time.sleep(0.1)
-        engine = ending.enter_context(distributed.Cluster(json.loads(file.read_text())["address"], say=print))
-        for size in (32, 512, 4096):
-            cells._TILE_CELLS["exact"] = size
-            part = np.arange(min(sweeping.cell_count(study), 1000 * size))
-            for timed in (False, True):
-                began, tiles, process_began = time.perf_counter(), 0, time.process_time()
-                grid = cells.Grid(study)
-                for _tile in engines.run_tiles(engine, grid, part):
-                    tiles += 1
-                seconds, here = time.perf_counter() - began, time.process_time() - process_began
-                if timed:
-                    each, rate = 1e3 * seconds / tiles, part.size / seconds
-                    print(f"{size:>5} cells: {each:.2f} ms a tile, {1e3 * here / tiles:.2f} here; {rate:,.0f} cells/s")
-
-
-def make_empty() -> None:
-    """On a worker."""
-    cells.Grid.run = empty_run
-
-
 def main() -> None:
     """Print a table for each size."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cells", nargs="*", type=float, default=[1e6])
     parser.add_argument("--quick", action="store_true", help="1e4 cells")
     parser.add_argument("--here", action="store_true", help="in this process, as JSON")
-    parser.add_argument("--workers", type=int, help="what a tile costs by so many local dask workers, instead")
     options = parser.parse_args()
     sizes = [1e4] if options.quick else options.cells
-    if options.workers:
-        measure_tasks(sizes[0], options.workers)
-        return
     if options.here:
         print(json.dumps(measure(sizes[0])))
         return
