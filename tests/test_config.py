@@ -608,6 +608,28 @@ def test_broken_override_is_reported_as_an_override(override, key, message):
     assert f"--set {key}:" in str(error)
 
 
+STAGED = ["driveline.shafts[1].stiffness=[31.3, 10.0, 31.3]", "driveline.shafts[1].breakpoints_deg=[-4.0, 2.0]"]
+OVER_SHAFT = "sweep.axes=[{{parameter='driveline.shafts[{}', start={}, stop=2.0, count=3}}]"
+WRONG_SHAFTS = [
+    (STAGED[:1], "there is one stiffness more than there are breakpoints_deg"),
+    (STAGED[1:], "there is one stiffness more than there are breakpoints_deg"),
+    ([STAGED[0], "driveline.shafts[1].breakpoints_deg=[2.0, -4.0]"], "must be in ascending order"),
+    ([STAGED[0], "driveline.shafts[1].breakpoints_deg=[2.0, 2.0]"], "must be in ascending order"),
+    (["driveline.shafts[1].stiffness=[1.0, -1.0, 1.0]", STAGED[1]], "0 or greater"),
+    ([*STAGED, "driveline.shafts[1].stiffness_per_deg=1.0"], "give one of the two"),
+    ([*STAGED, OVER_SHAFT.format("1].stiffness", 1.0)], "has 3 stages"),
+    ([OVER_SHAFT.format("2].stiffness[1]", 1.0)], "is one number"),
+    ([*STAGED, OVER_SHAFT.format("1].breakpoints_deg[1]", -5)], "breakpoints must be in ascending order"),
+    (["driveline.shafts[1].friction=-0.1"], "driveline.shafts[1].friction: found -0.1; must be a number, 0 or greater"),
+    (["driveline.shafts[1].friktion=0.1"], 'did you mean "friction"?'),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("overrides", "message"), WRONG_SHAFTS)
+def test_stages_and_frictions_that_cannot_be_are_refused(overrides, message):
+    assert message in " ".join(str(errors_of(ONE_RUN, *overrides)).split())
+
+
 # --- Axes ------------------------------------------------------------------------------------------------------------
 
 
