@@ -173,18 +173,6 @@ def test_without_xarray_a_dataset_is_refused_with_how_to_install_it(tmp_path, mo
         clunk.to_dataset(results)
 
 
-def test_a_damaged_file_is_a_sentence(tmp_path):
-    path = tmp_path / "map.h5"
-    clunk.write_results(path, example(RATIO, BACKLASH))
-    raw = bytearray(path.read_bytes())
-    raw[len(raw) // 2] ^= 1
-    path.write_bytes(raw)
-    with pytest.raises(clunk.StoreError, match="is damaged"):
-        clunk.open_results(path)
-    with pytest.raises(clunk.StoreError, match="cannot be read"):
-        clunk.open_results(tmp_path / "nowhere.h5")
-
-
 # --- cells
 
 

@@ -13,6 +13,7 @@ import pytest
 from helpers.maps import map_of
 from hypothesis import given
 from hypothesis import strategies as st
+from test_plot import notes
 
 from clunk.analysis.comparison import (
     DifferingCell,
@@ -417,10 +418,6 @@ def drawn(figure: Any, gid: str) -> list[tuple[float, float]]:
     scattered = [tuple(xy) for each in ax.collections if each.get_gid() == gid for xy in each.get_offsets().tolist()]
     plotted = [tuple(xy) for line in ax.lines if line.get_gid() == gid for xy in line.get_xydata().tolist()]
     return scattered + plotted
-
-
-def notes(figure: Any) -> list[str]:
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
 def boxes(figure: Any, texts: Sequence[Any]) -> list[Any]:

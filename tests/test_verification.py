@@ -103,7 +103,9 @@ def test_cells_with_a_lost_rebound_are_told_by_their_touches():
 # --- the command
 
 
-def test_verify_prints_what_compare_does_within_80_columns(verify_command):
+def test_verify_prints_what_compare_does_within_80_columns_for_maps_and_single_runs(verify_command):
+    code, out, _ = verify_command(NOMINAL, "--json")
+    assert (code, json.loads(out)["cells_compared"]) == (0, 1)
     code, out, _ = verify_command(NOMINAL + GRID)
     assert code == 0
     assert out.startswith("The labels are the same in 99 cells.")
@@ -111,7 +113,7 @@ def test_verify_prints_what_compare_does_within_80_columns(verify_command):
     assert max(map(len, out.splitlines())) <= 80
 
 
-def test_verify_exits_4_and_names_the_cells_where_labels_differ(verify_command):
+def test_verify_exits_4_and_names_the_cells_where_labels_differ_also_in_json(verify_command):
     code, out, err = verify_command(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE)
     assert code == 4
     assert "weak rebounds are lost" in err
@@ -120,22 +122,17 @@ def test_verify_exits_4_and_names_the_cells_where_labels_differ(verify_command):
         ["9", "15", "DS(1)SS(2)", "DS(1)SS(1)", "no"],
         ["9", "16", "DS(1)SS(2)", "DS(1)SS(1)", "no"],
     ]
-    code, out, _ = verify_command(
-        NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE, "--set", "solver.margin_tolerance=0.01"
-    )
-    assert code == 0
-    assert "2 of 6 cells differ" in out
-
-
-def test_verify_answers_in_json(verify_command):
     code, out, _ = verify_command(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE, "--json")
     assert code == 4
     printed = json.loads(out)
     assert printed["same_regimes"] is False
     assert (printed["cells_compared"], printed["cells_differing"], printed["differing_elsewhere"]) == (6, 2, 2)
     assert printed["differing_cells"][0]["at"] == {"load.ratio": 9.0, "lash.backlash_deg": 15.0}
-    code, out, _ = verify_command(NOMINAL, "--json")
-    assert (code, json.loads(out)["cells_compared"]) == (0, 1)
+    code, out, _ = verify_command(
+        NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE, "--set", "solver.margin_tolerance=0.01"
+    )
+    assert code == 0
+    assert "2 of 6 cells differ" in out
 
 
 def test_verify_exits_3_where_cells_failed(verify_command):
