@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 from helpers import margins, reference
 from helpers.agreement import TIME, both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
-from helpers.reference import CONTACTS, Plant, lag, pulse, ramp, sine, smooth, table
+from helpers.reference import CONTACTS, PROFILES, Plant, ramp, sine, smooth, table
 
 from clunk.simulation.driveline import Driveline, prepare
-
-PROFILES = {
-    "ramp": ramp(0.1),
-    "smooth": smooth(0.15),
-    "lag": lag(0.04),
-    "pulse": pulse(0.3),
-    "table": table((0.0, 0.02, 0.02, 0.08, 0.12, 0.12), (-6.0, -4.0, -2.0, -3.0, -3.0, -1.0)),
-    "table that jumps at 0": table((0.0, 0.0, 0.1), (-6.0, -4.0, -1.0)),
-    "sine": sine(3.0, 5.0),
-}
 
 
 @pytest.mark.parametrize("contact", CONTACTS)

@@ -5,23 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers import general, reference
-from helpers.reference import CONTACTS, Plant, lag, pulse, ramp, sine, smooth, step, table
+from helpers.reference import CONTACTS, PROFILES, Plant, lag, ramp, step, table
 from helpers.starts import started
 from scipy.integrate import solve_ivp
 
 from clunk.simulation.history import sample
 
-PROFILES = {
-    "step": step(),
-    "ramp": ramp(0.3),
-    "smooth": smooth(0.25),
-    "lag": lag(0.08),
-    "a lag of half a contact period": lag(2e-3),
-    "pulse": pulse(0.2),
-    "table": table((0.0, 0.05, 0.05, 0.2, 0.3, 0.3), (-6.0, -4.0, -2.0, -3.0, -3.0, -1.0)),
-    "table that jumps at 0": table((0.0, 0.0, 0.1), (-6.0, -4.0, -1.0)),
-    "sine": sine(3.0, 5.0),
-}
 CLOSE = {"reference": 2e-12, "exact": 2e-12, "rk4": 1e-9}  # rad; rk4 is late by (55 rad/s h)⁴/120 = 8e-12 a radian
 INERTIA, DAMPING, STIFFNESS = 0.01, 0.05, 30.0
 POLES = np.roots([INERTIA, DAMPING, STIFFNESS])
@@ -78,8 +67,8 @@ def by_hand(profile, before, after, t):
 
 
 @pytest.mark.parametrize("method", CLOSE)
-@pytest.mark.parametrize("name", PROFILES)
-def test_an_inertia_on_a_shaft_moves_by_the_closed_form(name, method):
+@pytest.mark.parametrize("profile", [step(), lag(2e-3), *PROFILES.values()], ids=str)  # a lag of half a contact period
+def test_an_inertia_on_a_shaft_moves_by_the_closed_form(profile, method):
     """In a gap that it never leaves, from rest under the torque before the load step."""
     plant = Plant(
         inertias=(INERTIA,),
@@ -87,7 +76,7 @@ def test_an_inertia_on_a_shaft_moves_by_the_closed_form(name, method):
         lash=(1, "ground"),
         backlash=6.0,
         acceleration_of=1,
-        profile=PROFILES[name],
+        profile=profile,
     )
     state = np.array([plant.before / STIFFNESS, 0.0])
     if method == "reference":

@@ -113,3 +113,14 @@ def table(times: Sequence[float], torques: Sequence[float]):
 def sine(amplitude, frequency):
     """The torque after the load step, plus amplitude sin(2π frequency t)."""
     return Profile("sine", amplitude=amplitude, frequency=frequency)
+
+
+PROFILES = {
+    "ramp": ramp(0.1),
+    "smooth": smooth(0.15),
+    "lag": lag(0.04),
+    "pulse": pulse(0.3),
+    "table": table((0.0, 0.02, 0.02, 0.08, 0.12, 0.12), (-6.0, -4.0, -2.0, -3.0, -3.0, -1.0)),
+    "table that jumps at 0": table((0.0, 0.0, 0.1), (-6.0, -4.0, -1.0)),
+    "sine": sine(3.0, 5.0),
+}

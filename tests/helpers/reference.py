@@ -27,12 +27,12 @@ from scipy.optimize import brentq
 
 from helpers.configs import config_of, study_of
 from helpers.elements import OPEN, STICK, Friction, Lash, Mode, Stages
-from helpers.loads import Profile, lag, pulse, ramp, sine, smooth, step, table
+from helpers.loads import PROFILES, Profile, lag, pulse, ramp, sine, smooth, step, table
 from helpers.plant import CONTACTS, FITS, Plant, Shaft, boere
 
 __all__ = [
-    "CONTACTS", "Friction", "Lash", "Mode", "Plant", "Profile", "Shaft", "Stages", "boere", "config_of", "lag", "pulse",
-    "ramp", "sine", "smooth", "step", "study_of", "table",
+    "CONTACTS", "PROFILES", "Friction", "Lash", "Mode", "Plant", "Profile", "Shaft", "Stages", "boere", "config_of",
+    "lag", "pulse", "ramp", "sine", "smooth", "step", "study_of", "table",
 ]  # fmt: skip
 
 ORDER = 10
