@@ -23,7 +23,11 @@ NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load
 SHAFT = "[[driveline.shafts]]\nbetween = {}\nstiffness = 31.3\ndamping = 0.04\n"
 SPELLED_OUT = NOMINAL.replace("preset", "inertias = [0.024, 0.002, 0.002, 0.002]\npreset")
 RUBBING = SPELLED_OUT + SHAFT.format([1, 2]) + SHAFT.format([2, 3]) + "friction = 0.3\n" + SHAFT.format('[4, "ground"]')
-LINE = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0.0\nstop = 10.0\ncount = 121\n'
+
+
+def axis(parameter, start, stop, count, more=""):
+    """A table [[sweep.axes]]."""
+    return f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = {start}\nstop = {stop}\ncount = {count}\n{more}'
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -44,7 +48,7 @@ def _compile(driveline: str) -> None:
     """Use all kernels: of a driveline with one lash and nothing else, or of others."""
     for method in ("rk4", "exact"):
         simulate(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n'))
-        sweep(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n{LINE}'))
+        sweep(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n{axis("load.ratio", 0.0, 10.0, 121)}'))
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import NOMINAL, axis
 from helpers.feet import feet_of_figure_3_4
 from helpers.studies import random_study
 
@@ -19,13 +20,8 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.study.config import study_from_text
 
-NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
 ROOT = Path(__file__).parents[1]
 EXACT = "solver.method='exact'"
-
-
-def axis(parameter, start, stop, count, more=""):
-    return f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = {start}\nstop = {stop}\ncount = {count}\n{more}'
 
 
 def study(*axes, of=(EXACT,)):

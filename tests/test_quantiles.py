@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_thresholds import DURATION, LASH, NOMINAL, RAMP, axis
+from conftest import NOMINAL, axis
+from test_thresholds import DURATION, LASH, RAMP
 
 import clunk as clunk_api
 from clunk.analysis.thresholds import threshold_quantiles, thresholds

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from conftest import NOMINAL, axis
 from helpers.feet import feet_of_figure_3_4
 
 import clunk
@@ -18,12 +19,7 @@ from clunk.results.labels import FAILED
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 
-NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
 RAMP = ("load.profile=ramp", "solver.method=exact")
-
-
-def axis(parameter, start, stop, count):
-    return f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = {start}\nstop = {stop}\ncount = {count}\n'
 
 
 DURATION, RATIO, LASH = (
