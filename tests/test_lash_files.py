@@ -161,13 +161,8 @@ def rig(*counts):
     return clunk.study_from_text(RIG + (axes(*counts) if counts else ""))
 
 
-@pytest.fixture(scope="module")
-def swept():
-    return clunk.sweep(rig(9, 5))
-
-
 @pytest.mark.parametrize("lash", ["gear", "joint"])
-def test_thresholds_are_those_of_the_lash_that_is_named(lash, swept):
+def test_thresholds_are_those_of_the_lash_that_is_named(lash):
     study = rig(9, 1)
     located = clunk.thresholds(study, along="load.ratio", of="double_sided", lash=lash)
     assert located.lash == lash
@@ -177,7 +172,7 @@ def test_thresholds_are_those_of_the_lash_that_is_named(lash, swept):
             side: clunk.simulate(clunk.replace_values(study, {"load.ratio": value + side, "lash[2].backlash_deg": 1.0}))
             for side in (-1e-6, 1e-6)
         }
-        k = swept.lashes.index(lash)
+        k = study.lash_names.index(lash)
         assert ["DS" in each.lashes[k].label for each in run.values()] == [False, True]
 
 

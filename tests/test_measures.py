@@ -14,7 +14,6 @@ from scipy.optimize import minimize_scalar
 
 import clunk
 from clunk.analysis.thresholds import thresholds
-from clunk.api import sweep
 from clunk.cli import cli
 from clunk.cli.simulate import run_record
 from clunk.results.quantities import REGIME_QUANTITIES
@@ -25,6 +24,7 @@ from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.study import replace_values
+from clunk.sweeping.sweep import sweep
 
 CLOSE = 1e-8  # relative, to SciPy's DOP853 at 1e-12 a step
 SHORT = ["solver.end_time=0.4", 'solver.method="exact"']

@@ -34,7 +34,7 @@ def single():
 )
 def test_points_of_a_grid_are_the_bits_of_its_cells(parameter, values):
     study = clunk.study_from_text(CONFIG.format(parameter=parameter, values=values))
-    grid = clunk.sweep(study)
+    grid = clunk.sweep(study, boundaries=False)
     ratios, others = np.meshgrid([2.0, 5.0, 9.0], np.array(values, float), indexing="ij")
     runs = clunk.run_points(study, {"load.ratio": ratios.ravel(), parameter: others.ravel()}, workers=3)
     assert runs.shape == (ratios.size,)
