@@ -8,6 +8,7 @@ import pytest
 from helpers import reference
 from helpers.randomplants import element_plant
 from helpers.reference import Plant
+from helpers.studies import random_study
 
 import clunk
 from clunk.core.exact.flows import Flows
@@ -15,6 +16,7 @@ from clunk.simulation import batches
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
 from clunk.study.parameters import located, parameters
+from clunk.study.rules import count_of_flows, count_of_regimes
 from clunk.study.study import replace_values
 from clunk.sweeping.cells import Grid, leaves_system
 
@@ -136,6 +138,14 @@ def test_the_memory_that_many_drivelines_take_at_once_is_bounded_however_many_fl
     grid = Grid(study, design_of_points(study, {"driveline.inertias[2]": values[:, 0]}))
     assert sum(1 for _ in grid.drivelines(values)) == len(sizes)
     assert len(grid._kept) <= 2 * max(sizes)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_rules_count_the_regimes_that_there_are(seed):
+    study = random_study(seed)
+    system = batches.prepare_one(study).system
+    assert system.regimes.size == count_of_regimes(study)
+    assert len(system.rates) <= count_of_flows(study)
 
 
 def test_of_drivelines_about_critical_damping_each_is_what_it_is_alone():

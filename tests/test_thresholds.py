@@ -11,13 +11,15 @@ from helpers.feet import feet_of_figure_3_4
 
 import clunk
 from clunk.analysis import thresholds as analysis
-from clunk.analysis.search import POINT, TOLERANCE, narrow
+from clunk.analysis.search import POINT, TOLERANCE, PointRuns, narrow
 from clunk.analysis.thresholds import thresholds
 from clunk.plot.analyses import threshold_figure
 from clunk.plot.style import PlotError
-from clunk.results.labels import FAILED
+from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.quantities import quantity_of
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
+from clunk.sweeping.sweep import engine_of
 
 RAMP = ("load.profile=ramp", "solver.method=exact")
 
@@ -272,3 +274,14 @@ def test_pictures_have_a_curve_for_each_threshold():
         threshold_figure(family)
     with pytest.raises(PlotError, match="no other axis"):
         threshold_figure(thresholds(study(DURATION, of=RAMP), along="load.duration"))
+
+
+def test_a_value_between_those_of_an_axis_that_no_config_may_have_is_a_run_that_failed():
+    """From a ratio of -1 to one of 1, a search may come to 0."""
+    study = clunk.load_study("configs/nominal.toml", ["solver.method='exact'"])
+    with engine_of(None, 1) as engine:
+        runs = PointRuns(study, ["lash.ratio", "load.ratio"], quantity_of("label", study), 0, engine)
+        points = runs(np.array([[-1.0, 5.0], [0.0, 5.0], [1.0, 5.0], [1.0, 1.0], [0.0, 1.0]]))
+    failed = points["outcome"] == FAILED_CODE
+    assert failed.tolist() == [False, True, False, False, True]
+    assert [runs.words[code] for code in points["outcome"][~failed]] == ["DS(1)SS(1)", "DS(1)SS(1)", "NI"]

@@ -42,7 +42,7 @@ from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
 RUNS_OF_BOUNDARIES = "runs along the boundaries"  # of which progress tells
-_AT_ONCE = 200  # pairs of runs whose events are kept at a time
+_AT_ONCE = 2**20  # events of runs that are kept at a time, 50 MB
 _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
@@ -232,8 +232,11 @@ def events_between(runner: Runner, lash: int, one: Floats, other: Floats) -> Cod
     one, other : the points, (n, keys of the runner)
     """
     events = [np.zeros(0, np.int64)]
-    for begin in range(0, len(one), _AT_ONCE):
-        points = np.stack([part[begin : begin + _AT_ONCE] for part in (one, other)], axis=1).reshape(-1, one.shape[1])
+    touches = runner.run(one).touches.reshape(len(one), -1).sum(axis=1) if len(one) else np.zeros(0)
+    pairs_at_once = max(_AT_ONCE // (4 * int(touches.max(initial=0)) + 512), 1)
+    for begin in range(0, len(one), pairs_at_once):
+        points = np.stack([part[begin : begin + pairs_at_once] for part in (one, other)], axis=1)
+        points = points.reshape(-1, one.shape[1])
         records, logs = runner.grid.logged(dict(zip(runner.keys, points.T, strict=True)), len(points))
         pairs = records[:, lash].reshape(-1, 2), logs.reshape(len(points) // 2, 2, -1)
         events.append(_differences(*pairs, runner.study.solver.end_time, lash))

@@ -27,6 +27,7 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
 from clunk.study.arrays import Bools, Codes, Floats
+from clunk.study.errors import ConfigError
 from clunk.study.rules import count_of_regimes
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress
@@ -38,7 +39,10 @@ POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure"
 Points = npt.NDArray[np.void]  # POINT
 Run = Callable[[Codes, Floats], Points]  # runs cells at values, (n,) each; these need not be in its points
 
-TOLERANCE = 1e-9  # of the span, the widest that a bracket ends by default
+TOLERANCE = 1e-9  # of the span, the widest that a bracket ends
+# likewise where runs begin to fail: that says how far they were followed, no physics, and runs of 10⁵ events take half
+# a second each
+OFF_FAILURES = 1e-3
 TOUCHES_OF_A_RUN = 50  # for so many more touches a run counts as one more run
 _TOUCHES = 2  # by which neighbours differ where something may be hidden between them
 _STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
@@ -106,18 +110,18 @@ def narrow(
     ends: Points,
     run: Run,
     span: float = 1.0,
-    tolerance_of_failures: float = TOLERANCE,
     most: int | None = None,
     may_run: Callable[[], bool] = lambda: True,
 ) -> tuple[Points, Points]:
     """Narrow brackets to `TOLERANCE` of the span; returns their lower and their upper ends, by cell and value.
 
-    tolerance_of_failures : that of brackets of which one end is a run that failed
+    Those of which one end is a run that failed are narrowed to `OFF_FAILURES`.
+
     most : that one of the brackets may become; those of one that becomes more are returned as wide as they are
     ends : (n, 2), at ascending values of one cell, of different outcome
     may_run : asked before each batch; once it says no, all brackets are returned as wide as they are
     """
-    tolerance, tolerance_of_failures = TOLERANCE * span, tolerance_of_failures * span
+    tolerance = TOLERANCE * span
     is_slow, narrowed = np.zeros(len(ends), bool), [ends[:0]]
     origin, begun = np.arange(len(ends)), len(ends)  # of each bracket the one that it is a part of
     finished = np.zeros(begun, np.int64)  # parts of each
@@ -125,7 +129,7 @@ def narrow(
         low, high = ends["value"].T
         width, middle = high - low, 0.5 * (low + high)
         has_failed = (ends["outcome"] == FAILED_CODE).any(axis=1)
-        wide = width > np.where(has_failed, tolerance_of_failures, tolerance)
+        wide = width > np.where(has_failed, OFF_FAILURES * span, tolerance)
         wide &= (low < middle) & (middle < high) & may_run()
         rest = np.flatnonzero(wide)  # `take` and `put` do with records in a tenth of the time what indexing does
         finished += np.bincount(origin[~wide], minlength=begun)
@@ -219,11 +223,18 @@ class PointRuns:
         values : (n, parameters), in their units
         more : number of points that are expected to follow; 0 if that is unknown, and so for progress the number of all
         """
-        if not len(values):
-            return np.zeros(0, POINT)
-        results = self.runner.run(values).of_lash(self._lash)
         points = np.zeros(len(values), POINT)
-        points["outcome"], points["measure"], points["touches"] = FAILED_CODE, np.nan, results.touches
+        points["outcome"], points["measure"] = FAILED_CODE, np.nan
+        if not len(values):
+            return points
+        try:
+            results = self.runner.run(values).of_lash(self._lash)
+        except ConfigError:  # between allowed values there may be one that is not, such as a ratio of zero: it fails
+            if len(values) == 1:
+                return points
+            middle = len(values) // 2
+            return np.concatenate([self(values[:middle], more), self(values[middle:], more)])
+        points["touches"] = results.touches
         finished = results.status == Status.OK
         words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
         known = [self._codes.setdefault(self._word(word), len(self._codes)) for word in words.tolist()]

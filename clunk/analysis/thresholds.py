@@ -28,7 +28,17 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.search import POINT, TOLERANCE, PointRuns, Points, Word, brackets, narrow, with_hidden
+from clunk.analysis.search import (
+    OFF_FAILURES,
+    POINT,
+    TOLERANCE,
+    PointRuns,
+    Points,
+    Word,
+    brackets,
+    narrow,
+    with_hidden,
+)
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
@@ -50,9 +60,6 @@ UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `threshold_quantiles`
 # they are 15, with 22 no more than with 16.
 _HALVINGS = 16  # of the spacing where something may be hidden
 _MOST = 32  # thresholds between two neighbours that are resolved
-# of the range, to which it is located where runs begin to fail: that says how far they were followed, no physics, and
-# runs of 10⁵ events take half a second each
-OFF_FAILURES = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -269,7 +276,7 @@ def thresholds(
 
         points, _ = with_hidden(run(points["cell"], points["value"]), run, _HALVINGS)
         span = float(np.ptp(along_axis.values))
-        low, high = narrow(brackets(points), run, span, tolerance_of_failures=OFF_FAILURES, most=_MOST)
+        low, high = narrow(brackets(points), run, span, most=_MOST)
     return Thresholds(
         study=study,
         along=along_axis,

@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,7 @@ _END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # superblock version -> where it has the
 
 # On the map of Figure 3.4 levels 1 to 6 differ by 1 % in size, and 6 takes three times as long.
 _COMPRESSION = {"chunks": True, "compression": "gzip", "compression_opts": 1, "shuffle": True}
+_SLAB = 2**23  # places of padded values at a time: 64 MB
 _SMALL = 4096  # bytes of values that would only grow by compression
 _BEST_RATIO = 1100  # of deflate, which makes at most 258 bytes of two bits: 1032
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
@@ -72,14 +74,30 @@ class Dataset:
 
     def padded(self, name: str) -> Array:
         """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
+        parts = [part for _, part in self.slabs(name)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def slabs(self, name: str) -> Iterator[tuple[slice, Array]]:
+        """These values by parts along the first dimension, which are small where they are padded."""
         variable = self.variables[name]
         if variable.values.ndim == len(variable.dims):
-            return variable.values
+            yield slice(None), variable.values
+            return
         counts, most = (self.variables[each].values for each in (COUNTED_BY[variable.dims[-1]], variable.dims[-1]))
-        is_entry = has_entry(counts, most.size)
-        padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
-        padded[is_entry] = variable.values
-        return padded
+        first = 0
+        for rows in slabs(counts.shape, most.size):
+            is_entry = has_entry(counts[rows], most.size)
+            padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
+            last = first + int(counts[rows].sum())
+            padded[is_entry] = variable.values[first:last]
+            first = last
+            yield rows, padded
+
+
+def slabs(shape: Sequence[int], most: int) -> Iterator[slice]:
+    """Parts along the first dimension of cells, of which each has `most` places, with `_SLAB` places at most."""
+    each = max(_SLAB // max(math.prod(shape[1:]) * most, 1), 1)
+    yield from (slice(begin, begin + each) for begin in range(0, shape[0], each))
 
 
 def has_entry(counts: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.bool_]:
@@ -136,23 +154,28 @@ def write(path: str | os.PathLike[str], dataset: Dataset, scratch: Path | None =
         own = {"Conventions": "CF-1.11", "variables": names, "content_digest": content_digest(dataset)}
         _set_attributes(file, {**dataset.attributes, **own})
         for name, variable in dataset.variables.items():
-            _create(file, name, variable, dataset.padded(name))
+            _create(file, name, variable, dataset)
     content = image.getbuffer()
     with writing(path) as target:
         write_whole(target, lambda stream: stream.writelines([content, _trailer(content)]), scratch)
 
 
-def _create(file: h5py.File, name: str, variable: Variable, values: Array) -> None:
+def _create(file: h5py.File, name: str, variable: Variable, dataset: Dataset) -> None:
     """Write a dimension or a variable along some; a variable compressed where that pays."""
     # Words of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
-    is_text, is_dimension = values.dtype.kind == "U", variable.dims == (name,)
+    dtype, is_dimension = variable.values.dtype, variable.dims == (name,)
+    is_text = dtype.kind == "U"
+    shape = variable.values.shape if is_dimension else tuple(file[dim].size for dim in variable.dims)
+    is_small = is_dimension or math.prod(shape) * dtype.itemsize <= _SMALL
     stored = file.create_dataset(
         name,
-        data=values.astype(object) if is_text else values,
-        dtype=h5py.string_dtype() if is_text else values.dtype,
+        shape,
+        h5py.string_dtype() if is_text else dtype,
         track_order=True,
-        **({} if is_dimension or values.nbytes <= _SMALL else _COMPRESSION),
+        **({} if is_small else _COMPRESSION),
     )
+    for rows, values in dataset.slabs(name):
+        stored[rows] = values.astype(object) if is_text else values
     _set_attributes(stored, variable.attributes)
     if is_dimension:
         stored.make_scale(name)
@@ -235,9 +258,14 @@ def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) 
     dims = (name,) if stored.is_scale else tuple(dim[0].name.removeprefix("/") for dim in stored.dims)
     if stored.nbytes > _BEST_RATIO * (stored.id.get_storage_size() + 1):
         raise ValueError(f"{name} claims more values than its bytes can hold")
-    values: Array = stored[...]
     if dims[-1] in COUNTED_BY and len(dims) > 1:
-        values = values[has_entry(earlier[COUNTED_BY[dims[-1]]].values, values.shape[-1])]
+        counts, most = earlier[COUNTED_BY[dims[-1]]].values, stored.shape[-1]
+        if stored.shape[:-1] != counts.shape:
+            raise ValueError(f"{name} has another shape than {COUNTED_BY[dims[-1]]}")
+        parts = [stored[rows][has_entry(counts[rows], most)] for rows in slabs(counts.shape, most)]
+        values: Array = np.concatenate([np.zeros(0, stored.dtype), *parts])
+    else:
+        values = stored[...]
     if values.dtype.kind == "O":
         values = np.array([word.decode() for word in values.tolist()])
     return Variable(dims, values, _attributes_of(stored))

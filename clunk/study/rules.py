@@ -91,18 +91,23 @@ def _lashes(config: Config) -> Iterator[Finding]:
 
 def count_of_regimes(config: Config) -> int:
     """Number of combinations of the states of lashes, staged shafts and frictions."""
-    return _combinations(config, 3)  # a lash is open or on one of two flanks, a friction sticks or slips either way
+    states = 1
+    for contact in (lash.contact for lash in config.lashes):  # open or on a flank, which by force may overlap unpressed
+        states *= 5 if contact.model == "indentation" and contact.separation == "force" else 3
+    return int(states * 3 ** _frictions(config) * _stages(config))  # a friction sticks or slips either way
 
 
 def count_of_flows(config: Config) -> int:
     """Number of these that differ in which springs act and which parts move together."""
-    return _combinations(config, 2)
+    return int(2 ** (len(config.lashes) + _frictions(config)) * _stages(config))
 
 
-def _combinations(config: Config, states: int) -> int:
-    shafts = config.driveline.shafts
-    joints = len(config.lashes) + sum(shaft.friction > 0.0 for shaft in shafts)
-    return int(states**joints) * math.prod(len(shaft.stages) for shaft in shafts)
+def _frictions(config: Config) -> int:
+    return sum(shaft.friction > 0.0 for shaft in config.driveline.shafts)
+
+
+def _stages(config: Config) -> int:
+    return math.prod(len(shaft.stages) for shaft in config.driveline.shafts)
 
 
 def _regimes(config: Config) -> Iterator[Finding]:
