@@ -591,7 +591,7 @@ def test_override_sets_its_key(override, parameter, value):
         ("load.ratio=", '"load.ratio="', "no TOML value"),
         ("load.ratio=7\nx=8", '"load.ratio=7\\nx=8"', "not one TOML value"),
         ("load.ration=7", "load.ration", 'did you mean "ratio"?'),
-        ("driveline.inertias[9]=1", "driveline.inertias[9]", "has 4 items"),
+        ("driveline.inertias[9]=1", "driveline.inertias[9]", "a list of 4 items"),
         ("driveline.inertias[rign]=1", "driveline.inertias[rign]", "driveline.inertias has no item of this name"),
         ("driveline.shafts.damping=1", "driveline.shafts.damping", "is a list"),
         ("title.x=1", "title.x", "title is no table"),

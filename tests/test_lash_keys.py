@@ -91,8 +91,8 @@ def test_the_schema_allows_one_lash_and_several():
 @pytest.mark.parametrize(
     ("text", "overrides", "key", "message"),
     [
-        (TWO, ["lash.backlash_deg=3"], "lash.backlash_deg", "its items are lash[1]"),
-        (TWO, ["lash[3].backlash_deg=3"], "lash[3].backlash_deg", "lash has 2 items"),
+        (TWO, ["lash.backlash_deg=3"], "lash.backlash_deg", "lash[1] and so on"),
+        (TWO, ["lash[3].backlash_deg=3"], "lash[3].backlash_deg", "lash is a list of 2 items"),
         (TWO, ["lash[rear].radius=3"], "lash[rear].radius", "lash has no item of this name"),
         (TWO, ["lash[2].name='gear'"], "lash[2].name", 'the name "gear" is taken by lash 1'),
         (TWO, ["lash[1].name='lash 2'"], "lash[2].name", 'the name "lash 2" is taken by lash 1'),

@@ -357,17 +357,14 @@ class Results(Map):
         names = [axis.parameter for axis in self.axes]
         if set(values) != set(names):
             raise ValueError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
-        at = tuple(axis.nearest(values[axis.parameter]) for axis in self.axes)
-        number = int(np.ravel_multi_index(at, self.shape))
-        impacts = slice(*self.first_impact[number : number + 2])
-        cell: dict[str, Any] = dict(zip(names, values_at(self.axes, at), strict=True))
-        swept = values_at(self.axes, at, self.coordinates)
-        cell |= {axis.parameter: value for axis, value in zip(self.parameters, swept, strict=True)}
-        cell["label"] = [*self.labels, FAILED][self.sequence[at]]
-        cell |= {name: self.values(name)[at].item() for name, each in self.quantities.items() if not each.dimension}
+        part = self.at(values)
+        cell: dict[str, Any] = {axis.parameter: axis.values.item() for axis in (*part.axes, *part.coordinates)}
+        cell["label"] = part.label_map.item()
+        for name, quantity in self.quantities.items():
+            cell[name] = part.arrays[name] if quantity.dimension else part.arrays[name].item()
         cell["status"] = Status(cell["status"]).name.lower()
         cell["quality"] = [name for bit, name in QUALITY_MEANINGS.items() if cell["quality"] & bit]
-        return cell | {name: self.values(name)[impacts] for name, each in self.quantities.items() if each.dimension}
+        return cell
 
     def label_table(self) -> list[dict[str, str]]:
         """See `Map.label_table`: the number of cells, and their share."""

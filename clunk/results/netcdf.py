@@ -67,10 +67,14 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Variables by name, those of dimensions before what lies along them, and what is said of all."""
+    """Variables by name, those of dimensions before what lies along them, and what is said of all.
+
+    has_checksum : of one that was read, whether its file has one, which another program that changes it takes away
+    """
 
     variables: Mapping[str, Variable]
     attributes: Mapping[str, str]
+    has_checksum: bool = False
 
     def padded(self, name: str) -> Array:
         """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
@@ -198,22 +202,6 @@ def _set_attributes(target: h5py.File | h5py.Dataset, attributes: Mapping[str, s
 # --- reading
 
 
-def read(path: str | os.PathLike[str]) -> Dataset:
-    """Read a file whole, its bytes compared with their checksum, if they have one, and its data with their digest.
-
-    Raises StoreError.
-    """
-    return _read(Path(path))[0]
-
-
-def check(path: str | os.PathLike[str]) -> bool:
-    """Read a file as `read` does; returns whether it has a checksum, which another program that changes it takes away.
-
-    Raises StoreError.
-    """
-    return _read(Path(path))[1]
-
-
 @contextmanager
 def refusing_damage(path: str | os.PathLike[str]) -> Iterator[None]:
     """Raise whatever is wrong with the content of a file as a StoreError."""
@@ -223,8 +211,12 @@ def refusing_damage(path: str | os.PathLike[str]) -> Iterator[None]:
         raise StoreError(f"{path} is damaged ({reason(error)}): run the sweep again.") from error
 
 
-def _read(path: Path) -> tuple[Dataset, bool]:
-    """The dataset in a file, and whether this has a checksum."""
+def read(path: str | os.PathLike[str]) -> Dataset:
+    """Read a file whole, its bytes compared with their checksum, if they have one, and its data with their digest.
+
+    Raises StoreError.
+    """
+    path = Path(path)
     try:
         raw = path.read_bytes()  # Python's own errors are clearer than HDF5's
     except OSError as error:
@@ -247,10 +239,15 @@ def _read(path: Path) -> tuple[Dataset, bool]:
             for name in str(attributes["variables"]).split():
                 variables[name] = _variable(file[name], name, variables)
         texts = {name: each for name, each in attributes.items() if isinstance(each, str) and name not in _OF_FILE}
-        dataset = Dataset(variables, texts)
+        dataset = Dataset(variables, texts, has_checksum)
         if content_digest(dataset) != attributes["content_digest"]:
             raise ValueError("its data do not match its content_digest")
-    return dataset, has_checksum
+    return dataset
+
+
+def check(path: str | os.PathLike[str]) -> bool:
+    """Read a file as `read` does; returns whether it has a checksum. Raises StoreError."""
+    return read(path).has_checksum
 
 
 def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) -> Variable:

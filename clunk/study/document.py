@@ -199,12 +199,10 @@ def assign(document: dict[str, Any], place: Place, value: Any) -> str | None:
     node: Any = document
     for k, step in enumerate(place):
         if isinstance(step, str) != isinstance(node, dict) or (isinstance(step, int) and step >= len(items_of(node))):
-            name = dotted(place[:k])
-            if isinstance(node, list) and isinstance(step, int):
-                return f"there is no {dotted(place[: k + 1])}; {name} has {len(node)} items"
+            name, what = dotted(place[:k]), "no list" if isinstance(step, int) else "no table"
             if isinstance(node, list):
-                return f"{name} is a list; its items are {name}[1] and so on"
-            return f"{name} is no {'list' if isinstance(step, int) else 'table'}"
+                what = f"a list of {len(node)} items, {name}[1] and so on"
+            return f"there is no {dotted(place[: k + 1])}: {name} is {what}"
         if k == len(place) - 1:
             node[step] = value
         elif isinstance(step, str):

@@ -421,9 +421,8 @@ def part_of(measure: Measure, config: Config) -> Part | str:
     known = [name for element in elements for name in names[element] if name is not None]
     likely = nearest(measure.of, known) if isinstance(measure.of, str) else None
     hint = f"did you mean {shorten(likely)}? It" if likely else "it"
-    article = "an" if elements[0] == "inertia" else "a"
-    choices = [f"the number of {article} {elements[0]}, from 1 to {count}", *map(shorten, known)]
-    return f"there is no {' or '.join(elements)} {shorten(measure.of)}; {hint} must be {listing(choices, 'or')}"
+    choices = listing([f"its number from 1 to {count}", *map(shorten, known)], "or")
+    return f"there is no {' or '.join(elements)} {shorten(measure.of)}; {hint} must be {choices}"
 
 
 def parts_of(config: Config) -> list[Part]:
