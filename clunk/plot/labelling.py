@@ -144,9 +144,9 @@ def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) ->
         corners = np.argwhere(inside == wide * high)[:, ::-1]
         return corners + 0.5 * (np.array([wide, high]) - turned.shape[::-1])
 
-    margins = bisect(range(max(mask.shape)), False, key=lambda margin: not len(centres(margin)))
-    if not margins:
+    if not len(centres(0)):
         return None
+    margins = bisect(range(min(turned.shape)), False, key=lambda margin: not len(centres(margin)))
     # Of many places as good, as along a band, the one nearest their middle.
     places = centres(int(0.93 * (margins - 1)))
     u, v = places[np.argmin(np.hypot(*(places - places.mean(axis=0)).T))]

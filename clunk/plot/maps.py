@@ -281,15 +281,15 @@ def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Fi
     if shades is not None:
         add_bar(figure, [ax], shades, layers)
     colours = cell_colours(regimes, shades) / 255.0
-    order = np.argsort(~regimes.failed, kind="stable")  # failed ones are behind the others
-    across, upward = (values[order] for values in places)
-    size, is_cloud = max(2.0, 40.0 - 0.1 * order.size), order.size > MOST_POINTS
-    ax.scatter(across, upward, size, colours[order], edgecolors=INK, linewidths=0.2, rasterized=is_cloud)
+    count = len(colours)
+    look: Look = {"edgecolors": INK, "linewidths": 0.2, "rasterized": count > MOST_POINTS}
+    across, upward = places
+    ax.scatter(across, upward, max(2.0, 40.0 - 0.1 * count), colours, **look)
     ax.margins(0.03)
     ax.grid(color="0.92", linewidth=0.6)
     ax.set_axisbelow(True)
     notes = notes_of(regimes, regimes.names)
-    lay_out(figure, ax, regimes.title, regimes.subtitle(f"{order.size:,} runs"), notes)
+    lay_out(figure, ax, regimes.title, regimes.subtitle(f"{count:,} runs"), notes)
     return figure
 
 
