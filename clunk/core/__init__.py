@@ -20,7 +20,7 @@ driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
 
 `measures` walks over a finished run whose states were kept, along `channels` (quantities as series in time), with
-`exponential` for its steps and `extremes` for their turns and integrals; nothing of a run depends on it.
+`exponential` for its steps; nothing of a run depends on it.
 
 A sweep enters by `tile.run_tile`: for each cell `_begin`, then `run.begin` and `run.advance` of the exact method or
 `rk4.run.run`, and at the end `_describe`, which packs the primaries' flanks into a `pattern`; a single run is a tile of

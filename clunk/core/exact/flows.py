@@ -137,7 +137,7 @@ def build_flows(
     )
     arrays = rates, inputs, functionals, feedthrough
     for k, chain in enumerate(chains):
-        matrices = _Matrices(*(array[..., k, :, :].reshape(*many, *array.shape[-2:]) for array in arrays))
+        matrices = [array[..., k, :, :].reshape(*many, *array.shape[-2:]) for array in arrays]
         # what is common to all of a batch has no axis for it
         numbers = Chain._make(
             np.broadcast_to(array, (*many, *array.shape[-dimensions:]))
@@ -165,15 +165,6 @@ def _set_rolling_apart(states: FloatArray, rolling: FloatArray) -> None:
     states[..., first] = rolled[..., first]
 
 
-class _Matrices(NamedTuple):
-    """A flow of D drivelines, as `regimes.System` has it."""
-
-    rates: FloatArray  # (D, N, N)
-    inputs: FloatArray  # (D, N, I)
-    functionals: FloatArray  # (D, F, N)
-    feedthrough: FloatArray  # (D, F, I)
-
-
 class _Scaled(NamedTuple):
     """A chain in energy coordinates: the undamped modes' ω times their displacements, and their velocities.
 
@@ -186,8 +177,11 @@ class _Scaled(NamedTuple):
     drift: BoolArray  # (2m,)  displacements that nothing depends on, and the velocities that only they depend on
 
 
-def _fill(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> None:
-    """Tables of one flow of D drivelines, (D, …); the coordinates that a chain has fewer than the tables stay zero."""
+def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[int]) -> None:
+    """Tables of one flow of D drivelines, (D, …); the coordinates that a chain has fewer than the tables stay zero.
+
+    matrices : A, B, C and D of the flow, as `regimes.System` has them, (D, …, …) float64
+    """
     rates, inputs, functionals, feedthrough = matrices
     scaled, unforced = _scale(chain), chain.shift.shape[-2]  # states but for a wave's
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back

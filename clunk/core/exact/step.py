@@ -280,11 +280,8 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
     shortest, spans = shortest_span(space, space.system.regimes[regime].flow), space.flows.span.shape[2]
     h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most, spans)
     passes = int(k >= 0.0)
-    for n in range(count):
-        passes &= vectors.load(guards, n * OF_GUARD + _START) >= 0.0
-    if (field(space, rows.ZERO_ORDER) > 0.0) != 0:
-        for n in range(count):  # where a guard is zero with its slope, its series decides
-            passes &= ~(_zero_order(space, n) > 1.0)
+    for n in range(count):  # where a guard is zero with its slope, its series decides
+        passes &= (vectors.load(guards, n * OF_GUARD + _START) >= 0.0) & ~(_zero_order(space, n) > 1.0)
     return h, k, ~passes
 
 
