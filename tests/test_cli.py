@@ -99,8 +99,6 @@ def test_a_map_is_printed_with_a_letter_for_each_cell(command, small, monkeypatc
     results = read_results("results/small.h5")
     assert [[meanings[letter] for letter in row[::3]] for row in rows[::-1]] == results.label_map.T.tolist()
     assert command("info", "results/small.h5", "--map", "--json")[0] == 2
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    assert out.removeprefix(plain) in command("sweep", small, "--restart")[1]
 
 
 def test_runs_that_are_cut_off_are_announced(command, small):

@@ -10,18 +10,19 @@ from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
 from clunk.sweeping import cells
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.reduction import RegimeReduction
+from clunk.sweeping.parts import from_bytes, to_bytes
+from clunk.sweeping.reduction import Reduction, regime_map
 from clunk.sweeping.sweep import sweep
-from clunk.sweeping.tiles import from_bytes, to_bytes
 
 ORIGIN = bytes(range(32))
 
 
 def assembled(study, batches):
-    grid, reduction, stop = Grid(study), RegimeReduction(study), np.zeros(1, np.uint8)
+    grid, stop = Grid(study), np.zeros(1, np.uint8)
+    reduction = Reduction(study, grid.design, grid)
     for batch in batches:
         reduction.add(grid.run(np.asarray(batch, np.int64), stop))
-    return reduction.result({})
+    return regime_map(reduction, {})
 
 
 @pytest.fixture(scope="module")

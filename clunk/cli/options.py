@@ -1,12 +1,21 @@
-"""Options that several commands share, and the exit codes."""
+"""Options that several commands share, the cells that --at names, and the exit codes."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from clunk.cli import completion
+from clunk.cli import completion, terminal
+from clunk.study.errors import listing
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from clunk.study.axes import ResultAxis
+    from clunk.study.study import Study
 
 EXIT_INTERNAL = 1
 EXIT_USAGE = 2
@@ -42,3 +51,66 @@ lash_option = click.option(
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
 workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+
+
+def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
+    """Values of swept keys that --at names; a `run` stands for the values of its coordinates.
+
+    Where not all are needed, a key that is not named keeps the config's own value.
+    """
+    from clunk.study.axes import RUN
+    from clunk.study.designs import design_of
+    from clunk.study.parameters import get_value
+
+    design = design_of(study)
+    named = nearest_values(design.axes, design.coordinates, at)
+    missing = [axis for axis in design.axes if axis.parameter not in named]
+    if missing and all_needed:
+        raise click.UsageError(f"Which cell? Also name {' '.join(map(at_middle, missing))}, for example.")
+    unnamed = [axis for axis in missing if axis.parameter != RUN]
+    unnamed += design.coordinates if len(unnamed) < len(missing) else ()
+    if unnamed:
+        listed = ", ".join(f"{axis.parameter} = {get_value(study, axis.parameter):g}" for axis in unnamed)
+        terminal.complain(f"note: without --at, as in the config: {listed}")
+    run = named.pop(RUN, None)
+    if run is not None:
+        named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}
+    return named
+
+
+def at_middle(axis: ResultAxis) -> str:
+    """The option that names an axis's middle value."""
+    return f"--at {shlex.quote(f'{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}')}"
+
+
+def nearest_values(
+    axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis], at: tuple[str, ...]
+) -> dict[str, float]:
+    """Values of axes that --at names, each the nearest one of its axis."""
+    import numpy as np
+
+    swept = {axis.parameter: axis for axis in (*axes, *coordinates)}
+    values: dict[str, float] = {}
+    for assignment in at:
+        key, equals, text = assignment.partition("=")
+        key = key.strip()
+        if not equals:
+            raise click.UsageError(f"--at {assignment}: must be KEY=VALUE, for example load.ratio=7.")
+        if key not in swept:
+            raise click.UsageError(f"--at {assignment}: {key} is not swept; swept: {listing([*swept]) or 'nothing'}.")
+        axis = swept[key]
+        try:
+            wanted = float(text)
+            position = axis.nearest(wanted)
+        except ValueError as error:
+            raise click.UsageError(f"--at {assignment}: {error}") from None
+        nearest = float(axis.values[position])
+        if axis in coordinates:
+            raise click.UsageError(
+                f"--at {assignment}: {key} changes together with the other keys of its run; name the run, --at "
+                f"run={position + 1}, where it is {nearest:.6g}."
+            )
+        values[key] = nearest
+        if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
+            terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")
+    return values

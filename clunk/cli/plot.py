@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from clunk.cli import cells, completion, terminal
-from clunk.cli.options import PATH, at_option
+from clunk.cli import completion, terminal
+from clunk.cli.options import PATH, at_option, nearest_values
 
 _NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
 
@@ -81,7 +81,7 @@ def plot(
         files.check(base, files.PICTURES, reads=file)
     results = read_map(file)
     if at:
-        results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
+        results = results.at(nearest_values(results.axes, results.coordinates, at))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}
     if lash is None and results.lashes and LASH not in facets:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clunk.cli import cells, terminal
-from clunk.cli.options import PATH, at_option
+from clunk.cli import terminal
+from clunk.cli.options import PATH, at_option, nearest_values
 
 if TYPE_CHECKING:
     from clunk.results.maps import AnyMap
@@ -37,7 +37,7 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     files.check(target, (".html",), reads=file)
     results = part = read_map(file)
     if at:
-        part = results.at(cells.nearest_values(results.axes, results.coordinates, at))
+        part = results.at(nearest_values(results.axes, results.coordinates, at))
     digests = [("config digest", results.config_digest), ("content digest", content_digest(dataset_of(results)))]
     write_text(target, page(part, _commands(results, file, target, at), digests))
     terminal.say_written(target)

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from clunk.cli import cells, tables, terminal
-from clunk.cli.options import PATH, at_option, json_option, lash_option, set_option, workers_option
+from clunk.cli import tables, terminal
+from clunk.cli.options import PATH, at_option, cell_values, json_option, lash_option, set_option, workers_option
 
 
 @click.command()
@@ -55,7 +55,7 @@ def sensitivity(
     study = load_study(config, overrides)
     if output is not None:
         files.check(output, files.PICTURES, reads=config)
-    point = sobol.operating_point(replace_values(study, cells.cell_values(study, at, all_needed=False)))
+    point = sobol.operating_point(replace_values(study, cell_values(study, at, all_needed=False)))
     terminal.warm_up(point, "drawn")
     result = sobol.sensitivity(point, of=quantities, progress=True, **options)
     tables.tell(result, as_json)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import cells, completion, tables, terminal
-from clunk.cli.options import PATH, at_option, json_option, set_option
+from clunk.cli import completion, tables, terminal
+from clunk.cli.options import PATH, at_option, cell_values, json_option, set_option
 from clunk.study.records import fill, number, words
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _studies_to_simulate(
     studies: list[tuple[str, Study]] = []
     for chosen in product(*choices.values()):
         study = study_from_text(text, name, [*overrides, *chosen], source.parent)
-        values = cells.cell_values(study, at, all_needed=source.suffix == ".h5")
+        values = cell_values(study, at, all_needed=source.suffix == ".h5")
         if has_tolerances(study) and not studies:
             terminal.complain("tolerances are left aside; this is the nominal run")
         single = replace_values(study.model_copy(update={"sweep": None}), values)
@@ -239,33 +239,28 @@ def _print_run(trajectory: Trajectory, record: dict[str, Any]) -> None:
             values.append((name, f"{number(value)} {quantities[name].unit_symbol}{each}"))
         tables.print_values(values)
     click.echo()
-    _print_energy(trajectory, record["energy"])
+    _print_energy(trajectory)
 
 
-def _print_energy(trajectory: Trajectory, energy: dict[str, Any]) -> None:
-    """Print the energies of a run: stored before and after, taken by dampers and friction, and the other terms."""
+def _print_energy(trajectory: Trajectory) -> None:
+    """Print the energies of a run: what it had and took up, what it still has, and where the rest went."""
     from clunk.simulation.driveline import Driveline
+    from clunk.simulation.energy import balance
 
-    parts = [
-        f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}"
-        for k, shaft in enumerate(trajectory.study.driveline.shafts, 1)
-    ]
-    shafts = (energy[key] for key in ("shafts_before", "shafts_after", "damped_in_shafts", "rubbed_in_shafts"))
-    rows = [
-        ("inertias", energy["kinetic_before"], energy["kinetic_after"], 0.0, 0.0),
-        *zip(parts, *shafts, strict=True),
-        ("contact", energy["contact_before"], energy["contact_after"], energy["damped_in_contact"], 0.0),
-    ]
-    columns = "energy [J]", "before", "after", "damped", "rubbed"
-    tables.print_table([dict(zip(columns, row, strict=True)) for row in rows])
+    energy = balance(trajectory)
     terms = {
-        "work of the load": energy["work"],
-        "lost at impacts": energy["lost_at_impacts"],
-        "dropped at partings": energy["dropped"],
-        "regained at rejoins": energy["regained"],
+        "stored before": energy.stored_before,
+        "work of the load": energy.work,
+        "regained at rejoins": energy.regained,
+        "stored at the end": energy.stored_after,
+        "damped in shafts": sum(energy.damped_in_shafts),
+        "damped in contact": energy.damped_in_contact,
+        "rubbed": energy.rubbed,
+        "lost at impacts": energy.lost_at_impacts,
+        "dropped at partings": energy.dropped,
     }
     texts = [(name, f"{term:.6g} J") for name, term in terms.items() if term]
-    residual = f"{energy['residual']:.6g} J, {energy['relative_residual']:.1e} of the largest energy"
+    residual = f"{energy.residual:.6g} J, {energy.relative_residual:.1e} of the largest energy"
     tables.print_values([*texts, ("residual", residual)])
     rigid = Driveline.from_study(trajectory.study).rigid_motion
     if rigid.shape.size and not rigid.is_dragged:

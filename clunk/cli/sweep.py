@@ -52,8 +52,7 @@ def sweep(
 ) -> None:
     """Run the grid of a config and write a results file.
 
-    CONFIG is a TOML file with [[sweep.axes]]. Stopped by whatever, the same command goes on where it was. In a
-    terminal a map of one or two axes is printed, too.
+    CONFIG is a TOML file with [[sweep.axes]]. Stopped by whatever, the same command goes on where it was.
 
     \b
     Examples:
@@ -124,7 +123,6 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
 
 def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     """Print a finished map; returns how many cells, or runs of a tolerance map, have failed."""
-    from clunk.cli.textmap import is_drawable
     from clunk.results.maps import ToleranceMap
 
     if as_json:
@@ -141,7 +139,4 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     terminal.report_failures(result, " for some draws" if draws else "")
     for caveat in result.caveats:
         terminal.complain(f"note: {caveat}")
-    if sys.stdout.isatty() and not as_json and is_drawable(first.axes):
-        click.echo()
-        tables.print_map(result)
     return failed

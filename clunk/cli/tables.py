@@ -39,15 +39,7 @@ def print_values(rows: Iterable[tuple[str, str]]) -> None:
     click.echo("\n".join(value_lines(rows)))
 
 
-def print_map(results: AnyMap) -> None:
-    """Print the map of each lash as text."""
-    from clunk.cli.textmap import text_map
-
-    for part in _by_lash(results):
-        click.echo("\n".join(text_map(part)))
-
-
-def _by_lash(results: AnyMap) -> Iterator[Any]:
+def by_lash(results: AnyMap) -> Iterator[Any]:
     """The map of each lash; of several, each is announced by its name."""
     for k, (name, part) in enumerate(results.by_lash().items()):
         if results.lashes:
@@ -62,7 +54,7 @@ def of_lashes(values: dict[str, Any]) -> Any:
 
 def print_outcomes(results: AnyMap) -> None:
     """Print how many cells each label has, or how likely it is, and other facts; lash by lash."""
-    for part in _by_lash(results):
+    for part in by_lash(results):
         print_table(part.label_table())
         click.echo()
         print_values(part.facts)

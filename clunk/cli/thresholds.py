@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clunk.cli import completion, tables, terminal
-from clunk.cli.cells import nearest_values
 from clunk.cli.options import (
     EXIT_FAILED_CELLS,
     PATH,
     at_option,
     json_option,
     lash_option,
+    nearest_values,
     set_option,
     workers_option,
 )

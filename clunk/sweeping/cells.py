@@ -1,9 +1,14 @@
-"""Cells of a sweep's design: their systems, torques and gaps, and their runs by the kernel."""
+"""Cells of a sweep's design: their systems, torques and gaps, and their runs by the kernel, tile by tile.
+
+A tile has a row for each lash of each cell, a cell's rows behind one another: one record and any number of details, of
+a regime map its CELL and its impacts, of a tolerance map its TOLERANCE_CELL and its OUTCOMEs.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -19,12 +24,11 @@ from clunk.core.status import Status
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation.batches import most_prepared, prepare_many, prepare_one
 from clunk.simulation.load import WAVES, loads_of
-from clunk.study.arrays import Cells, Floats, Records
+from clunk.study.arrays import Array, Cells, Floats, Records
 from clunk.study.designs import Design, design_of
 from clunk.study.document import dotted
 from clunk.study.models import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study
-from clunk.sweeping.tiles import Layout, Tile
 
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 _Part = tuple[kernel.Batch, Cells]  # drivelines, and the number among them of each of those that were asked for
@@ -43,6 +47,39 @@ _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Types of a tile's arrays.
+
+    record, detail : dtype
+    counted_by : field of a record with the number of its details
+    lashes : number of rows of each cell
+    """
+
+    record: np.dtype[np.void]
+    detail: np.dtype[np.void]
+    counted_by: str
+    lashes: int = 1
+
+    def rows(self, cells: Array) -> Array:
+        """Numbers of the rows of some cells, in their order, from the cells' numbers."""
+        return cells if self.lashes == 1 else (cells[:, None] * self.lashes + np.arange(self.lashes)).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """Results of some cells.
+
+    cells : (n,) int64, numbers in C order of the design; in any order, consecutive or not
+    records : (n lashes,) of the layout's record type
+    details : (N,) of its detail type, those of each row behind those of the row before it
+    """
+
+    cells: Cells
+    records: Records
+    details: Records
 
 
 def leaves_system(study: Study, parameter: str) -> bool:

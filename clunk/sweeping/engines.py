@@ -22,9 +22,8 @@ import numpy as np
 from clunk.core.regimes import System
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import Flag
+from clunk.sweeping.cells import Flag, Layout, Tile
 from clunk.sweeping.machine import available_cores
-from clunk.sweeping.tiles import Layout, Tile
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
 _AHEAD = 2  # tiles handed to each worker

@@ -1,12 +1,11 @@
-"""Reductions: maps of the finished tiles of a sweep, which do not depend on the order of the tiles.
+"""Finished tiles of a sweep, collected, and the map of them, which does not depend on the order of the tiles.
 
-A sweep is a design, the cells of which a runner runs to tiles, and a reduction that makes a map of the tiles. Regime
-maps, here, and tolerance maps (`clunk.sweeping.tolerances`) differ in these two and in no more.
+A sweep is a design, the cells of which a runner runs to tiles, and a map that is made of the tiles. Regime maps, here,
+and tolerance maps (`clunk.sweeping.tolerances`) differ in the runner and in the map's arrays.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
@@ -18,7 +17,7 @@ import numpy.typing as npt
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE, label_order
-from clunk.results.maps import AnyMap, Results
+from clunk.results.maps import Results
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.study.arrays import Array, Bools, Cells, Records
 from clunk.study.axes import ResultAxis, lash_axis
@@ -26,9 +25,8 @@ from clunk.study.config import study_from_text
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
-from clunk.sweeping.cells import Grid
+from clunk.sweeping.cells import Layout, Tile
 from clunk.sweeping.engines import Runner
-from clunk.sweeping.tiles import Layout, Tile
 
 Flanks = tuple[int, ...]  # of a run's primary impacts in order, +1 opposite, -1 initial
 
@@ -73,7 +71,7 @@ class Labels:
         return labels, np.array([*map(labels.index, self._codes), FAILED_CODE], np.int16)
 
 
-class Reduction(ABC):
+class Reduction:
     """The cells of a map, collected tile by tile.
 
     study, design : of the cells
@@ -114,10 +112,6 @@ class Reduction(ABC):
         order = np.argsort(np.repeat(rows, self._records[self.runner.layout.counted_by][rows]), kind="stable")
         return self._records, np.concatenate([details for _, details in self._details])[order]
 
-    @abstractmethod
-    def result(self, attributes: dict[str, str]) -> AnyMap:
-        """The finished map, with these attributes."""
-
     @cached_property
     def axes(self) -> tuple[ResultAxis, ...]:
         """The axes of the map: those of the design and, of several lashes, theirs."""
@@ -140,39 +134,20 @@ def heading_of(study: Study) -> dict[str, str]:
     return {"title": study.title, "config": to_toml(study), "config_digest": digest(study)}
 
 
-class RegimeReduction(Reduction):
-    """The arrays of Results.
-
-    study : Study
-    design : Design, by default that of the study's sweep
-    grid : runs the cells, where there is one already
-    heading : as of `Reduction`
-    """
-
-    def __init__(
-        self,
-        study: Study,
-        design: Design | None = None,
-        grid: Grid | None = None,
-        heading: dict[str, str] | None = None,
-    ) -> None:
-        grid = grid or Grid(study, design)
-        super().__init__(study, design or grid.design, grid, heading)
-
-    def result(self, attributes: dict[str, str]) -> Results:
-        """See `Reduction.result`."""
-        records, impacts = self.collected()
-        seen, study = Labels(), self.study
-        codes = seen.codes_of(records, impacts)
-        labels, final = seen.ordered()
-        measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
-        arrays: dict[str, Array] = {"sequence": final[codes].reshape(self.shape)}
-        for name, quantity in (REGIME_QUANTITIES | measured).items():
-            if quantity.dimension:
-                arrays[name] = impacts[name.removeprefix("impact_")].astype(quantity.dtype)
-            elif name != "sequence":
-                arrays[name] = records[name].astype(quantity.dtype).reshape(self.shape)
-        return Results(**self.heading(), labels=labels, arrays=arrays, attributes=attributes)
+def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
+    """The map of the tiles of a `Grid`, with these attributes."""
+    records, impacts = reduction.collected()
+    seen, study = Labels(), reduction.study
+    codes = seen.codes_of(records, impacts)
+    labels, final = seen.ordered()
+    measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
+    arrays: dict[str, Array] = {"sequence": final[codes].reshape(reduction.shape)}
+    for name, quantity in (REGIME_QUANTITIES | measured).items():
+        if quantity.dimension:
+            arrays[name] = impacts[name.removeprefix("impact_")].astype(quantity.dtype)
+        elif name != "sequence":
+            arrays[name] = records[name].astype(quantity.dtype).reshape(reduction.shape)
+    return Results(**reduction.heading(), labels=labels, arrays=arrays, attributes=attributes)
 
 
 def failed_cells(results: Results) -> Cells:

@@ -13,19 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.maps import Results
-from clunk.study.arrays import Floats
+from clunk.study.arrays import Cells, Floats
 from clunk.study.designs import Design, along_run, design_of_points
 from clunk.study.document import dotted
 from clunk.study.errors import ConfigError
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.study import Study
-from clunk.sweeping.cells import Grid
+from clunk.sweeping.cells import Grid, Tile
 from clunk.sweeping.engines import Threads, run_tiles
 from clunk.sweeping.machine import available_cores, provenance
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.reduction import RegimeReduction, heading_of
-from clunk.sweeping.tiles import Tile
+from clunk.sweeping.reduction import Reduction, heading_of, regime_map
 
 _ALONE = 100  # runs: fewer are not worth a second thread
 
@@ -97,12 +96,22 @@ class Runner:
     def run(self, values: Floats, progress: Progress | None = None) -> Results:
         """Run points, (n, keys), whose values are allowed."""
         heading = self._heading | {"config_digest": self.digest(values)}
-        reduction = RegimeReduction(self.study, self._design(values), grid=self.grid, heading=heading)
-        for tile in self.tiles(values):
+        grid = self.grid.with_design(self._design(values))
+        reduction, cells = Reduction(self.study, grid.design, grid, heading), np.arange(len(values))
+        for tile in self._tiles(grid, cells):
             reduction.add(tile)
             if progress is not None:
-                progress(reduction.done, len(values))
-        return reduction.result(self._attributes)
+                progress(reduction.done, cells.size)
+        return regime_map(reduction, self._attributes)
+
+    def _tiles(self, grid: Grid, cells: Cells) -> Iterator[Tile]:
+        """Run cells, a few of them in this thread."""
+        if cells.size <= _ALONE:
+            yield grid.run(cells, np.zeros(1, np.uint8))
+            return
+        opening = nullcontext(self._engine) if self._engine is not None else Threads(self.workers)
+        with opening as engine, closing(run_tiles(engine, grid, cells)) as tiles:
+            yield from tiles
 
     def digest(self, values: Floats) -> str:
         """Digest of all that decides the results of points: the study, and the keys' values, in whatever order."""
@@ -134,21 +143,6 @@ class Runner:
             else:
                 self._allowed = least, greatest
         return values
-
-    def tiles(self, values: Floats) -> Iterator[Tile]:
-        """Run points, (n, keys), whose values are allowed; yields tiles of some after the others, in any order.
-
-        Closing the generator ends the runs.
-        """
-        if not len(values):
-            return
-        grid, cells = self.grid.with_design(self._design(values)), np.arange(len(values))
-        if cells.size <= _ALONE:
-            yield grid.run(cells, np.zeros(1, np.uint8))
-            return
-        opening = nullcontext(self._engine) if self._engine is not None else Threads(self.workers)
-        with opening as engine, closing(run_tiles(engine, grid, cells)) as tiles:
-            yield from tiles
 
     def _design(self, values: Floats) -> Design:
         return along_run(zip(self.keys, values.T, strict=True))

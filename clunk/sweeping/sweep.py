@@ -23,13 +23,13 @@ from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.records import counted
 from clunk.study.study import Study, digest
-from clunk.sweeping.cells import warm_up
+from clunk.sweeping.cells import Grid, warm_up
 from clunk.sweeping.engines import EngineError, Threads, run_tiles
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.reduction import Reduction, RegimeReduction, failed_cells, finished_cells, mended
-from clunk.sweeping.tolerances import ToleranceReduction
+from clunk.sweeping.reduction import Reduction, failed_cells, finished_cells, mended, regime_map
+from clunk.sweeping.tolerances import SampleRunner
 
 __all__ = ["Job", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
 
@@ -54,7 +54,6 @@ class Job:
     is_complete : whether the file is complete already, so that there is nothing to run
     say : called with messages on what is taken up
     ran, seconds : number of cells that `run` has run, and the time that they took
-    is_written : whether the map is in its file
     """
 
     def __init__(
@@ -72,7 +71,7 @@ class Job:
         self.design = design or design_of(study)
         self.earlier = earlier
         self.directory, self.path, self.is_complete = directory, path, is_complete
-        self.ran, self.seconds, self.is_written = 0, 0.0, is_complete
+        self.ran, self.seconds = 0, 0.0
         self._say = say or (lambda _text: None)
 
     @cached_property
@@ -83,13 +82,13 @@ class Job:
         lashes = len(self.study.lashes)
         _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
         if not has_tolerances(self.study):
-            reduction = RegimeReduction(self.study, self.design)
+            reduction = Reduction(self.study, self.design, Grid(self.study, self.design))
             if self.earlier is not None:
                 reduction.add(finished_cells(self.study, self.earlier, reduction.runner.layout))
             return reduction
         if self.study.measured:
             raise ClunkError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
-        return ToleranceReduction(self.study)
+        return Reduction(self.study, self.design, SampleRunner(self.study))
 
     @cached_property
     def parts(self) -> Parts | None:
@@ -102,9 +101,7 @@ class Job:
 
     @property
     def kept(self) -> str:
-        """Sentence on what is on the disk of a sweep that was stopped."""
-        if self.is_written:
-            return f"the map is complete in {self.path}, without its boundaries; the same command goes on with these"
+        """Sentence on the cells that are on the disk of a sweep that was stopped."""
         if self.parts is None or not self.parts.kept:
             return "no cell was finished"
         return f"{self.parts.kept:,} cells are kept in {self.parts.directory.path}; the same command goes on from there"
@@ -120,7 +117,9 @@ class Job:
             added = addition(result)
         except (KeyboardInterrupt, SystemExit) as stopped:
             if self.path is not None:
-                stopped.add_note(self.kept)
+                stopped.add_note(
+                    f"the map is complete in {self.path}, without its boundaries; the same command goes on with these"
+                )
             raise
         if added is not result:
             self._write(added)
@@ -129,7 +128,6 @@ class Job:
     def _write(self, result: AnyMap) -> None:
         if self.path is not None:
             write_results(self.path, result, None if self.directory is None else self.directory.path)
-            self.is_written = True
 
     def run(
         self,
@@ -179,7 +177,9 @@ class Job:
             if self.path is not None:
                 stopped.add_note(self.kept)
             raise
-        result = reduction.result(provenance(engine))
+        runner = reduction.runner
+        make = runner.map_of if isinstance(runner, SampleRunner) else regime_map
+        result: AnyMap = make(reduction, provenance(engine))
         if self.earlier is not None and isinstance(result, Results):
             result = mended(self.earlier, result, self.study)
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began

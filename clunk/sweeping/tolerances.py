@@ -22,9 +22,8 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import along_run, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
-from clunk.sweeping.cells import Flag, Grid
+from clunk.sweeping.cells import Flag, Grid, Layout, Tile
 from clunk.sweeping.reduction import Labels, Reduction
-from clunk.sweeping.tiles import Layout, Tile
 
 TOLERANCE_CELL = np.dtype(
     [
@@ -97,6 +96,35 @@ class SampleRunner:
         details = np.array(outcomes, [("runs", np.int32), ("label", f"S{longest}")])
         return Tile(cells, np.array([record for record, _ in summaries], TOLERANCE_CELL), details)
 
+    def map_of(self, reduction: Reduction, attributes: dict[str, str]) -> ToleranceMap:
+        """The map of the tiles, with these attributes."""
+        records, outcomes = reduction.collected()
+        texts, inverse = np.unique(outcomes["label"], return_inverse=True)
+        words = [text.decode() for text in texts.tolist()]
+        labels = tuple(sorted(words, key=label_order))
+        codes = np.array([labels.index(word) for word in words], np.int16)[inverse.reshape(-1)]
+        count, shape = records["outcomes"], reduction.shape
+        runs = np.zeros((reduction.rows, len(labels) + 1), np.int32)
+        runs[np.repeat(np.arange(reduction.rows), count), codes] = outcomes["runs"]
+        runs[:, FAILED_CODE] = self.draws - runs.sum(axis=1)
+        is_known = records["nominal_status"] == Status.OK
+        nominal = np.full(reduction.rows, FAILED_CODE, np.int16)
+        nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
+        return ToleranceMap(
+            **reduction.heading(),
+            labels=labels,
+            sample=sample_of(reduction.study, self.drawn),
+            arrays={
+                "probability": (runs / self.draws).reshape(*shape, len(labels) + 1),
+                "sequence": most_likely(runs).reshape(shape),
+                "nominal_sequence": nominal.reshape(shape),
+                "severity_mean": records["severity_mean"].reshape(shape),
+                "severity_quantiles": records["severity_quantiles"].reshape(*shape, len(QUANTILES)),
+                "status": records["status"].reshape(shape),
+            },
+            attributes=attributes,
+        )
+
     def _values(self, draws: Cells, cells: Cells) -> dict[str, Floats]:
         """Values of the parameters in some cells at one draw after the other, (draws cells,); the last is nominal."""
         values = {key: np.tile(column, (draws.size, 1)) for key, column in self.design.at(cells).items()}
@@ -107,43 +135,6 @@ class SampleRunner:
                 values[key] = np.full((draws.size, cells.size), nominal_value(self._grid.study, key))
             values[key][is_drawn] = tolerance.applied(numbers[draws[is_drawn], None], values[key][is_drawn])
         return {key: column.ravel() for key, column in values.items()}
-
-
-class ToleranceReduction(Reduction):
-    """The arrays of a tolerance map."""
-
-    def __init__(self, study: Study) -> None:
-        self._sample = SampleRunner(study)
-        super().__init__(study, self._sample.design, self._sample)
-
-    def result(self, attributes: dict[str, str]) -> ToleranceMap:
-        """See `Reduction.result`."""
-        records, outcomes = self.collected()
-        texts, inverse = np.unique(outcomes["label"], return_inverse=True)
-        words = [text.decode() for text in texts.tolist()]
-        labels = tuple(sorted(words, key=label_order))
-        codes = np.array([labels.index(word) for word in words], np.int16)[inverse.reshape(-1)]
-        count, shape = records["outcomes"], self.shape
-        runs = np.zeros((self.rows, len(labels) + 1), np.int32)
-        runs[np.repeat(np.arange(self.rows), count), codes] = outcomes["runs"]
-        runs[:, FAILED_CODE] = self._sample.draws - runs.sum(axis=1)
-        is_known = records["nominal_status"] == Status.OK
-        nominal = np.full(self.rows, FAILED_CODE, np.int16)
-        nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
-        return ToleranceMap(
-            **self.heading(),
-            labels=labels,
-            sample=sample_of(self.study, self._sample.drawn),
-            arrays={
-                "probability": (runs / self._sample.draws).reshape(*shape, len(labels) + 1),
-                "sequence": most_likely(runs).reshape(shape),
-                "nominal_sequence": nominal.reshape(shape),
-                "severity_mean": records["severity_mean"].reshape(shape),
-                "severity_quantiles": records["severity_quantiles"].reshape(*shape, len(QUANTILES)),
-                "status": records["status"].reshape(shape),
-            },
-            attributes=attributes,
-        )
 
 
 def sample_of(study: Study, drawn: Sequence[Floats]) -> tuple[ResultAxis, ...]:

@@ -26,8 +26,7 @@ from clunk.study.study import Study, to_toml
 from clunk.sweeping import cells
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.parts import Parts, WorkingDirectory
-from clunk.sweeping.reduction import RegimeReduction
-from clunk.sweeping.tiles import Tile
+from clunk.sweeping.reduction import Reduction
 
 CONFIG = """
 [driveline]
@@ -77,7 +76,7 @@ class Stages:
 
 
 @functools.cache
-def real_tile(study_text: str) -> tuple[Tile, np.ndarray]:
+def real_tile(study_text: str) -> tuple[cells.Tile, np.ndarray]:
     """Some cells of a map, run once, and where the impacts of each begin."""
     grid = cells.Grid(study_from_text(study_text))
     numbers = np.arange(0, grid.design.cells, max(1, grid.design.cells // REAL))[:REAL]
@@ -93,7 +92,7 @@ def empty_run(grid, wanted, _stop):
     real, first = real_tile(to_toml(grid.study))
     begin = int(wanted[0] * REAL // grid.design.cells) % max(1, real.cells.size - wanted.size)
     end = begin + wanted.size
-    return Tile(wanted, real.records[begin:end].copy(), real.details[first[begin] : first[end]].copy())
+    return cells.Tile(wanted, real.records[begin:end].copy(), real.details[first[begin] : first[end]].copy())
 
 
 def study_of(count: float) -> Study:
@@ -107,8 +106,8 @@ def measure(count: float) -> dict[str, object]:
     study = study_of(count)
     stages = Stages()
     cells.Grid.run = stages.watch("tiles", empty_run)
-    RegimeReduction.add = stages.watch("reduction: tiles", RegimeReduction.add)
-    RegimeReduction.result = stages.watch("reduction: results", RegimeReduction.result)
+    Reduction.add = stages.watch("reduction: tiles", Reduction.add)
+    sweeping.regime_map = stages.watch("reduction: results", sweeping.regime_map)
     Parts.add = stages.watch("parts", Parts.add)
     with tempfile.TemporaryDirectory() as scratch, WorkingDirectory(Path(scratch) / "map.h5") as directory:
         results = stages.watch("sweep in all", sweeping.Job(study, directory=directory).run)()
