@@ -122,15 +122,3 @@ def test_a_run_from_the_preload_is_the_run(nominal):
     assert given.initial_side == whole.initial_side
     assert np.array_equal(given.states, whole.states)
     assert given.label == whole.label
-
-
-def test_a_run_can_begin_in_the_gap(nominal):
-    """From rest in the middle of the gap: the nearer flank is the initial one, and the first event is a touch."""
-    plant = reference.Plant()
-    for q in (0.01, -0.01):
-        state = np.array([q, q, q, 0, 0, 0, 0, 0])
-        trajectory = started(nominal, state)
-        events, _ = reference.run(plant, state=state)
-        assert trajectory.initial_side == np.sign(q)
-        assert trajectory.kind_name(1) == "touch"
-        assert trajectory.events["time"] == pytest.approx([event.time for event in events], abs=1e-6)
