@@ -5,8 +5,7 @@ import tomllib
 import pytest
 
 import clunk
-from clunk.study.document import dotted
-from clunk.study.keys import json_schema, validated
+from clunk.study.keys import json_schema
 from clunk.study.parameters import get_value, parameters, quantity
 from clunk.study.study import content, digest, to_toml
 
@@ -125,10 +124,3 @@ def test_a_missing_key_of_an_only_lash_is_not_said_to_be_the_presets():
     with pytest.raises(clunk.ConfigError) as caught:
         clunk.study_from_text(ONE.replace("radius = 0.08\n", ""))
     assert "preset" not in str(caught.value)
-
-
-def test_each_finding_is_at_the_place_of_its_lash(two):
-    table = two.model_dump()
-    table["lash"][1]["contact"]["damping"] = -1.0
-    _, findings = validated(type(two), table)
-    assert [dotted(place) for place, _ in findings] == ["lash[2].contact.damping"]

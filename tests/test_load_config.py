@@ -58,10 +58,6 @@ def test_every_profile_is_read_and_written(profile):
     Draft202012Validator(json_schema()).validate(tomllib.loads(text))
 
 
-def test_the_schema_knows_every_profile():
-    assert json_schema()["$defs"]["Load"]["properties"]["profile"]["enum"] == [*PROFILES]
-
-
 def test_a_table_takes_the_place_of_the_presets_torques():
     load = study_from_text(config(TABLE)).load
     assert (load.static_torque, load.ratio) == (None, None)

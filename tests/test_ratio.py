@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.gears import geared, lever
 
 from clunk.core.events import KIND_NAMES, LOCK
 from clunk.simulation.driveline import Driveline, build
@@ -27,6 +26,44 @@ METHODS = ("rk4", "exact")
 PLAIN = np.ones(4)
 BINARY = np.array([1.0, 0.5, -4.0, 0.25])  # no scaling rounds, but LAPACK may sum in another order; the lash reverses
 DECIMAL = np.array([1.3, 4.81, -0.37, 0.12])
+
+
+def lever(plant, turns):
+    """The twist of the geared lash over that of the plant's own."""
+    return _lever_and_ratio(plant.lash, turns)[0]
+
+
+def geared(plant, turns, method="rk4"):
+    """The study of a plant with gears put into it, such that its motion stays what it is.
+
+    Inertia k then turns by `turns[k]` times its angle before, has its inertia over that squared and its torque over
+    that; a joint, whose twist is θa - i θb with i = turns[a]/turns[b], has the stiffness and damping over turns[a]²,
+    and a gap |turns[a]| times as wide. The reverse is how an engineer reflects a driveline by hand.
+    """
+    ratios, shafts = {}, []
+    for number, (one, other, stiffness, damping) in enumerate(plant.shafts, 1):
+        length, ratio = _lever_and_ratio((one, other), turns)
+        ratios[f"driveline.shafts[{number}].ratio"] = ratio
+        shafts.append((one, other, stiffness / length**2, damping / length**2))
+    length, ratios["lash.ratio"] = _lever_and_ratio(plant.lash, turns)
+    torque = 1.0 / float(turns[plant.loaded - 1])
+    driveline = replace(
+        plant,
+        inertias=tuple(float(j) for j in np.array(plant.inertias) / np.square(turns)),
+        shafts=tuple(shafts),
+        contact_stiffness=plant.contact_stiffness / length**2,
+        contact_damping=plant.contact_damping / length**2,
+        backlash=plant.backlash * abs(length),
+        before=plant.before * torque,
+        after=plant.after * torque,
+    )
+    return replace_values(reference.study_of(driveline, method, end_time=1.0), ratios)
+
+
+def _lever_and_ratio(ends, turns):
+    one, other = ends
+    length = float(turns[(other if one == "ground" else one) - 1])
+    return length, 1.0 if "ground" in ends else length / float(turns[other - 1])
 
 
 def assert_same_motion(trajectory, plain, plant, turns, rounding):

@@ -3,7 +3,7 @@
 A driveline is a chain from the loaded end to the far one, with leaves on it: 3 to 8 inertias, one to three lashes among
 the joints of the chain. Its numbers are drawn as the first inertia sees them, and put behind gears then: inertia k
 turns by `turns[k]` times the first one's angle, so that its inertia is over that squared, and a joint of a and b has
-the ratio turns[a]/turns[b] and its stiffness and damping over turns[a]² (as in `helpers.gears`).
+the ratio turns[a]/turns[b] and its stiffness and damping over turns[a]² (as in `test_ratio`).
 """
 
 from typing import NamedTuple
