@@ -378,7 +378,7 @@ def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):
         '[driveline]\npreset = "car"\n[[driveline.shafts]]\nbetween = [4, 5]\nstiffness = 1e4\ndamping = 9.0\n'
     )
     _, out, err = command("modes", "car.toml")
-    assert err.startswith("warning: the file's one [[driveline.shafts]] replaces all 6 shafts of preset")
+    assert err.startswith("warning: the file's [[driveline.shafts]] replace all 6 shafts of preset")
     assert "no stiffness joins input shaft and output shaft to engine" in " ".join(err.split())
     assert "warning" not in out
 
