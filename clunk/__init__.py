@@ -13,43 +13,33 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from clunk import plot as plot
     from clunk.analysis.boundaries import BoundaryError as BoundaryError
-    from clunk.analysis.comparison import Comparison as Comparison
-    from clunk.analysis.comparison import compare as compare
-    from clunk.analysis.comparison import verify as verify
-    from clunk.analysis.fitted import Fitted as Fitted
-    from clunk.analysis.fitted import fitted_study as fitted_study
+    from clunk.analysis.comparison import Comparison as Comparison, compare as compare, verify as verify
+    from clunk.analysis.fitted import Fitted as Fitted, fitted_study as fitted_study
     from clunk.analysis.fitting import fit as fit
     from clunk.analysis.optimisation import optimize as optimize
-    from clunk.analysis.sobol import Sensitivity as Sensitivity
-    from clunk.analysis.sobol import sensitivity as sensitivity
-    from clunk.analysis.thresholds import Thresholds as Thresholds
-    from clunk.analysis.thresholds import threshold_quantiles as threshold_quantiles
-    from clunk.analysis.thresholds import thresholds as thresholds
-    from clunk.api import draw as draw
-    from clunk.api import run_points as run_points
-    from clunk.api import sweep as sweep
-    from clunk.api import tolerance_map as tolerance_map
-    from clunk.explorer.server import Explorer as Explorer
-    from clunk.explorer.server import explore as explore
+    from clunk.analysis.sobol import Sensitivity as Sensitivity, sensitivity as sensitivity
+    from clunk.analysis.thresholds import (
+        Thresholds as Thresholds,
+        threshold_quantiles as threshold_quantiles,
+        thresholds as thresholds,
+    )
+    from clunk.api import draw as draw, run_points as run_points, sweep as sweep, tolerance_map as tolerance_map
+    from clunk.explorer.server import Explorer as Explorer, explore as explore
     from clunk.plot import PlotError as PlotError
     from clunk.results.boundaries import Boundaries as Boundaries
-    from clunk.results.maps import Results as Results
-    from clunk.results.maps import ToleranceMap as ToleranceMap
+    from clunk.results.maps import Results as Results, ToleranceMap as ToleranceMap
     from clunk.results.netcdf import StoreError as StoreError
-    from clunk.results.store import open_results as open_results
-    from clunk.results.store import read_results as read_results
-    from clunk.results.store import read_tolerance_map as read_tolerance_map
-    from clunk.results.store import to_dataset as to_dataset
-    from clunk.results.store import write_results as write_results
-    from clunk.simulation.trajectory import Trajectory as Trajectory
-    from clunk.simulation.trajectory import simulate as simulate
-    from clunk.study.config import load_study as load_study
-    from clunk.study.config import study_from_text as study_from_text
-    from clunk.study.errors import ClunkError as ClunkError
-    from clunk.study.errors import ClunkWarning as ClunkWarning
-    from clunk.study.errors import ConfigError as ConfigError
-    from clunk.study.study import Study as Study
-    from clunk.study.study import replace_values as replace_values
+    from clunk.results.store import (
+        open_results as open_results,
+        read_results as read_results,
+        read_tolerance_map as read_tolerance_map,
+        to_dataset as to_dataset,
+        write_results as write_results,
+    )
+    from clunk.simulation.trajectory import Trajectory as Trajectory, simulate as simulate
+    from clunk.study.config import load_study as load_study, study_from_text as study_from_text
+    from clunk.study.errors import ClunkError as ClunkError, ClunkWarning as ClunkWarning, ConfigError as ConfigError
+    from clunk.study.study import Study as Study, replace_values as replace_values
     from clunk.sweeping.engines import EngineError as EngineError
     from clunk.sweeping.parts import PartsError as PartsError
     from clunk.sweeping.runner import Runner as Runner

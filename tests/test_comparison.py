@@ -12,8 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from helpers.maps import map_of
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from test_plot import assert_texts_do_not_overlap, box_of, notes
 
 from clunk.analysis.comparison import (

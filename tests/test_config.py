@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import tomli_w
 from click.testing import CliRunner
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, example, given, settings, strategies as st
 from jsonschema import Draft202012Validator
 from jsonschema.protocols import Validator
 from scipy import stats

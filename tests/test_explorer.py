@@ -17,8 +17,7 @@ from bokeh.document import Document
 from bokeh.events import DocumentReady
 from click.testing import CliRunner
 from conftest import NOMINAL
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from clunk import ClunkError, load_study, simulate, sweep, tolerance_map
 from clunk.analysis.boundaries import with_boundaries

@@ -12,8 +12,7 @@ import signal
 import sys
 
 import pytest
-from hypothesis import HealthCheck, event, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, event, given, settings, strategies as st
 from test_config import ONE_RUN, PRESET, STARTER, WHOLE
 
 from clunk.cli import main

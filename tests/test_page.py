@@ -10,8 +10,7 @@ import pytest
 from conftest import RUBBING
 from helpers.maps import with_arrays
 from test_cli import SMALL
-from test_store import BACKLASH, INERTIA, RATIO
-from test_store import example as example_without_config
+from test_store import BACKLASH, INERTIA, RATIO, example as example_without_config
 from test_sweeping import digest_of
 
 from clunk.analysis.marks import thresholds_of

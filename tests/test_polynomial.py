@@ -6,8 +6,7 @@ to about 1e-16 / APART^3 of the interval, by that matrix as by the quartic's own
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from clunk.core.rk4.quartic import extremes, first_negative, stationary_points
 

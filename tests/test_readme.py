@@ -14,7 +14,7 @@ from rich.console import Console
 
 from clunk import fit, load_study, simulate, study_from_text
 from clunk.cli import cli, main
-from clunk.cli.help.page import show
+from clunk.cli.help import show
 from clunk.core.status import Status
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, measured_quantities
 from clunk.study.document import dotted

@@ -4,8 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from clunk.core.events import EVENT, LOAD_STEP, OPENING, REJOIN, SEPARATION, TOUCH
 from clunk.core.sequence import find_primaries, label

@@ -24,8 +24,7 @@ from clunk.study.designs import drawn_numbers, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import get_value
 from clunk.study.study import replace_values, to_toml
-from clunk.sweeping import parts as keeping
-from clunk.sweeping import tolerances
+from clunk.sweeping import parts as keeping, tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.sweep import Job, sweep
 

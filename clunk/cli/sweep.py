@@ -11,6 +11,7 @@ import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, set_option
+from clunk.study.records import counted
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -85,12 +86,8 @@ def sweep(
 
     opening = engine_of(scheduler, workers, say=terminal.complain)
     with opened(target, study, retry=retry_failed, restart=restart, force=force, say=terminal.complain) as job:
-        earlier = getattr(job.earlier, "boundaries", None)
-        if retry_failed and boundaries is None:  # those of the file belong to its old labels
-            traces = earlier is not None
         if job.is_complete:
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
-        if job.is_complete:
             result = job.finished()
         else:
             job.check()
@@ -99,7 +96,7 @@ def sweep(
                 result = job.run(engine, progress=show)
         failed = _report(result, job, as_json)
         if traces:
-            _trace(job, result, study, lash or getattr(earlier, "lash", None) or None, workers)
+            _trace(job, result, study, lash, workers)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
@@ -135,7 +132,11 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     first = result.of_lash()  # all lashes of a cell fail together
     failed = first.failed if isinstance(first, ToleranceMap) else int((first.status != 0).sum())
     if not job.is_complete:
-        terminal.report_speed(job, draws)
+        taken_up = 0 if job.parts is None else job.parts.taken_up
+        runs = (job.ran - taken_up) * (draws + 1)  # and nominally
+        rate = f" ({runs / job.seconds:,.0f} runs/s)" if runs > 0 and job.seconds > 0.0 else ""
+        each = f" x {draws:,} draws" if draws else ""
+        click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s{rate} -> {job.path}", err=True)
     terminal.report_failures(result, " for some draws" if draws else "")
     for caveat in result.caveats:
         terminal.complain(f"note: {caveat}")

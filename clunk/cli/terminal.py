@@ -1,4 +1,4 @@
-"""What reaches a terminal: text made safe; and messages on stderr, before a run and on how a sweep went."""
+"""What reaches a terminal: text made safe; and messages on stderr, before a run and on what failed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from clunk.results.maps import AnyMap
     from clunk.study.study import Study
-    from clunk.sweeping.sweep import Job
 
 
 _FEWEST_STEPS = 10  # a period of the fastest oscillation
@@ -102,15 +101,6 @@ def warm_up(study: Study, verb: str | None = None) -> None:
         click.echo(f"note: {parameter} is {verb}, but changes nothing in this model", err=True)
     say_if_compiling(study)
     cells.warm_up(study)
-
-
-def report_speed(job: Job, draws: int = 0) -> None:
-    """Print the number of cells, the time and the speed; a cell of a tolerance map has a run for each draw."""
-    seconds, taken_up = job.seconds, 0 if job.parts is None else job.parts.taken_up
-    runs = (job.ran - taken_up) * (draws + 1)  # and nominally
-    rate = f" ({runs / seconds:,.0f} runs/s)" if runs > 0 and seconds > 0.0 else ""
-    each = f" x {draws:,} draws" if draws else ""
-    click.echo(f"{counted(job.ran, 'cell')}{each} in {seconds:.1f} s{rate} -> {job.path}", err=True)
 
 
 def report_failures(results: AnyMap, how: str = "") -> None:

@@ -23,8 +23,7 @@ import numpy as np
 from clunk.results import netcdf, store
 from clunk.study.config import study_from_text
 from clunk.study.study import Study, to_toml
-from clunk.sweeping import cells
-from clunk.sweeping import sweep as sweeping
+from clunk.sweeping import cells, sweep as sweeping
 from clunk.sweeping.parts import Parts, WorkingDirectory
 from clunk.sweeping.reduction import Reduction
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import sys
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
 import click
 
 from clunk.study.errors import nearest
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderResult
 
 
 @click.command()
@@ -34,8 +38,28 @@ def help(topic: str | None) -> None:  # noqa: A001  # as the command is named
     elif sys.stdout.isatty():
         from rich.console import Console
 
-        from clunk.cli.help.page import show
-
         show(topics[topic], Console(file=getattr(sys.stdout, "direct", sys.stdout)))
     else:
         click.echo(topics[topic], nl=False)
+
+
+def show(text: str, console: Console) -> None:
+    """Print a page of Markdown, whose tables cut no key short."""
+    from rich.markdown import Markdown, TableElement
+    from rich.table import Table
+
+    class WholeWords(TableElement):
+        """A table whose columns of single words keep their width; the others are wrapped."""
+
+        def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+            for table in super().__rich_console__(console, options):
+                if isinstance(table, Table):
+                    for column in table.columns:
+                        column.overflow = "fold"
+                        column.no_wrap = not any(" " in str(cell) for cell in column.cells)
+                yield table
+
+    class Page(Markdown):
+        elements = {**Markdown.elements, "table_open": WholeWords}  # noqa: RUF012  # as rich declares it
+
+    console.print(Page(text))
