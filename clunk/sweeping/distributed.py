@@ -99,16 +99,13 @@ class Cluster(Executor):
         A system that all cells share is prepared in this process. Those of structural axes are prepared on the workers,
         by LAPACK, which on a processor of another type may round differently.
         """
-        try:
-            models: dict[str, Any] = self._client.run(cpu_model, on_error="ignore")  # of a worker that has gone
-        except Exception as error:
-            raise self._lost() from error
-        return "; ".join(sorted(set(models.values()))) or cpu_model()
+        return "; ".join(sorted(set(self._ask(cpu_model).values()))) or cpu_model()
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
         """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
         runner, cells, stop = arguments
         if self._sent is None or self._sent[0] is not runner:
+            self._check_workers()
             pickled = io.BytesIO()
             _Pickler(pickled).dump(runner)
             # a task and not scattered data: a worker that dies takes no copy with it that could not be made again
@@ -127,12 +124,37 @@ class Cluster(Executor):
             )
         if isinstance(error, CancelledError) or self._client.status != "running":
             return self._lost()
-        return EngineError(
-            f"A worker could not run its cells: {reason(error)}. It needs the same installation of clunk as here."
-        )
+        return EngineError(f"A worker could not run its cells: {reason(error)}.")
+
+    def _ask(self, function: Callable[[], Any]) -> dict[str, Any]:
+        """Answer of each worker, or the error that it ended with; by address."""
+        try:
+            answers: dict[str, Any] = self._client.run(function, on_error="return")
+        except Exception as error:
+            raise self._lost() from error
+        return {address: each for address, each in answers.items() if not isinstance(each, OSError)}  # it has gone
+
+    def _check_workers(self) -> None:
+        """Raise EngineError where a worker has other versions."""
+        for address, answer in self._ask(versions).items():
+            if not isinstance(answer, dict):
+                raise EngineError(
+                    f"Worker {address} cannot run clunk ({reason(answer)}): it needs the same installation as here."
+                )
+            _refuse_other_versions(address, answer, versions())
 
     def _lost(self) -> EngineError:
         return EngineError(f"The scheduler at {self._address} was lost.")
+
+
+def _refuse_other_versions(address: str, there: Mapping[str, str], here: Mapping[str, str]) -> None:
+    for name, wanted in here.items():
+        version = there.get(name, "none")
+        if version != wanted:
+            raise EngineError(
+                f"Worker {address} has another {name}: {version[:12]} there, {wanted[:12]} here. Its results "
+                "could differ in their last bits; it needs the same installation as here."
+            )
 
 
 class _Pickler(pickle.Pickler):
@@ -188,14 +210,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _run(cells: Cells, pickled: bytes, stop: Flag, wanted: Mapping[str, str]) -> Tile:
-    """Run a tile. Raises EngineError where this worker, which may have joined just now, has other versions."""
-    address, own = distributed.get_worker().address, versions()
-    for name, version in wanted.items():
-        if own[name] != version:
-            raise EngineError(
-                f"Worker {address} has another {name}: {own[name][:12]} there, {version[:12]} here. Its results could "
-                "differ in their last bits; it needs the same installation as here."
-            )
+    _refuse_other_versions(distributed.get_worker().address, versions(), wanted)  # it may have joined just now
     return engines.run_tile(_runner(pickled), np.array(cells), stop)
 
 
