@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import rubbing
-from clunk.core.events import LOCK, SEPARATION, STAGE, TOUCH
+from clunk.core.events import INSTANT, LOCK, SEPARATION, STAGE, TOUCH
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
     ROUNDING,
@@ -29,6 +29,7 @@ FloatArray = npt.NDArray[np.float64]
 
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
+_MOST_IMPULSES = 100  # on each of the lashes that touch at one time
 _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one
 
 
@@ -43,17 +44,19 @@ def strike(
     inputs: FloatArray,
     log: Log,
     count: int,
-    fastest: float,
+    fastest: FloatArray,
 ) -> Entry:
     """A touch of the restitution model, and the lock that may follow it at once.
 
     Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
     than that ends with q' = 0: then the flanks lock, unless the torque that holds them so would pull: then they are
-    open, with the gap at zero and about to open.
+    open, with the gap at zero and about to open. Where other open lashes touch at the same time, as those of equal
+    branches do, all of them rebound, or come to rest, by their speeds before.
     """
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
+    fastest[lash] = max(fastest[lash], abs(speed))
     regime = opened(system, _resting_on(system, regime, x, inputs, log, count), lash)
-    slowest, before = _locking_speed(system, regime, lash, x, inputs, fastest), regime
+    slowest, before = _locking_speed(system, regime, lash, x, inputs, fastest[lash]), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
     held = held_with(system, regime, lash)
     if held != 0 and abs(speed) > slowest:
@@ -62,34 +65,114 @@ def strike(
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
             _part_by(ROUNDING, system, held, other, system.contacts[before, other].side, x, inputs)
             regime = opened(system, regime, other)
-    guard = _touch_of(system, regime, lash, side)
+    first = last = count
+    if rebounds or frictions_of(system) == 0:
+        last = _note_touches_beside(system, before, lash, rebounds, x, inputs, log, count, fastest)
     if rebounds:  # θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l), report Eq. 2.9, M with what holds as rigid joints
         for k in range(x.size):
             x[k] -= (1.0 + system.restitution[lash]) * speed * system.impulse[held, lash, k]
-    else:
+    if last > first:
+        _strike_together(system, held, lash, speed, rebounds, x, log, first, last)
+    if not rebounds:
         _hold(system, held, lash, x, side * inputs[gap_input(lash)])
     if frictions_of(system) > 0:
         regime = rubbing.in_motion(system, regime, abs(speed), x)
         rubbing.stick_all(system, x, inputs)
-    record(log, count, time, speed, TOUCH, regime, lash, side, x)
-    count += 1
+    record(log, first, time, speed, TOUCH, regime, lash, side, x)
+    for k in range(first + 1, last + 1):
+        event = log.events[k]
+        record(log, k, time, event.speed, TOUCH, regime, event.lash, 1 if event.speed > 0.0 else -1, x)
+    count = last + 1
     for other in range(lashes_of(system)):
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
             record(log, count, time, 0.0, SEPARATION, regime, other, system.contacts[before, other].side, x)
             count += 1
+    guard = _touch_of(system, regime, lash, side)
     if rebounds:
         return Entry(count, regime, guard, 1)
-    successor = system.guards[regime, guard].successor
     if frictions_of(system) > 0:
-        return settle(system, successor, -1, lash, time, x, inputs, log, count)
-    torque_held, slope, scale = holding_torque(system, regime, lash, x, inputs)
-    pressing = side * torque_held
-    if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
-        pressing = side * slope
-    if not pressing >= 0.0:
-        return Entry(count, regime, guard, 2)
-    record(log, count, time, 0.0, LOCK, successor, lash, side, x)
-    return Entry(count + 1, successor, -1, 0)
+        return settle(system, system.guards[regime, guard].successor, -1, lash, time, x, inputs, log, count)
+    stays_open = -1
+    for k in range(first, last + 1):
+        lash, side = log.events[k].lash, log.events[k].side
+        if k > first:
+            _hold(system, held_with(system, regime, lash), lash, x, side * inputs[gap_input(lash)])
+        torque_held, slope, scale = holding_torque(system, regime, lash, x, inputs)
+        pressing = side * torque_held
+        if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
+            pressing = side * slope
+        if not pressing >= 0.0:
+            stays_open = k
+            continue
+        regime = system.guards[regime, _touch_of(system, regime, lash, side)].successor
+        record(log, count, time, 0.0, LOCK, regime, lash, side, x)
+        count += 1
+    if stays_open < 0:
+        return Entry(count, regime, -1, 0)
+    return Entry(count, regime, _touch_of(system, regime, log.events[stays_open].lash, log.events[stays_open].side), 2)
+
+
+@part
+def _note_touches_beside(
+    system: System,
+    regime: int,
+    lash: int,
+    rebounds: bool,
+    x: FloatArray,
+    inputs: FloatArray,
+    log: Log,
+    count: int,
+    fastest: FloatArray,
+) -> int:
+    """Write lash and speed of the other open lashes that touch at the same time, as those of equal branches do.
+
+    Of these, the ones that rebound, or do not, as the lash itself. They are behind the event `count`, which will be the
+    touch of the lash; returns the number of the last of them.
+    """
+    last = count
+    for other in range(lashes_of(system)):
+        (twist, size), speed = rubbing.twist_of(system, system.lashes[other], x), 0.0
+        for k in range(x.size):
+            speed += system.lashes[other, k] * x[k]
+        is_near = abs(inputs[gap_input(other)] - twist * np.sign(speed)) <= INSTANT * abs(speed) + _APART * size
+        if other == lash or system.contacts[regime, other].closed != 0 or not is_near:
+            continue
+        fastest[other] = max(fastest[other], abs(speed))
+        slowest = _locking_speed(system, regime, other, x, inputs, fastest[other])
+        if (system.restitution[other] * abs(speed) > slowest) == rebounds:
+            last += 1
+            log.events[last].lash, log.events[last].speed = other, speed
+    return last
+
+
+@part
+def _strike_together(
+    system: System,
+    held: int,
+    lash: int,
+    speed: float,
+    rebounds: bool,
+    x: FloatArray,
+    log: Log,
+    first: int,
+    last: int,
+) -> None:
+    """Give lashes that touch at one time the speeds that they shall have, each by its own before the impacts.
+
+    One impulse after the other brings its lash to its speed, and changes others by less, until all have theirs.
+    """
+    for _ in range(_MOST_IMPULSES):
+        furthest = 0.0
+        for k in range(first, last + 1):
+            struck, before = (lash, speed) if k == first else (log.events[k].lash, log.events[k].speed)
+            excess = system.restitution[struck] * before if rebounds else 0.0
+            for j in range(x.size):
+                excess += system.lashes[struck, j] * x[j]
+            for j in range(x.size):
+                x[j] -= excess * system.impulse[held, struck, j]
+            furthest = max(furthest, abs(excess) / abs(before))
+        if furthest <= ROUNDING:
+            break
 
 
 @part

@@ -137,12 +137,15 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
 
 @inlined_part
 def room_for_a_switch(system: System, inputs: FloatArray, log: Log, count: int) -> bool:
-    """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock."""
+    """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock.
+
+    With these, each other lash may part where it is closed, or touch where it is open.
+    """
     most = 1
     if system.impulsive != 0:
         for lash in range(lashes_of(system)):
             most = max(most, 2 if inputs[gap_input(lash)] > 0.0 else 3)
-        most += lashes_of(system) - 1  # which one may part
+        most += lashes_of(system) - 1
     if frictions_of(system) > 0:  # one of them may begin to slip
         most += 1
     return bool(count + most <= log.events.size)
@@ -185,8 +188,7 @@ def switch(
         speed += system.lashes[lash, k] * x[k]
     if system.impulsive != 0:
         if row.event_kind == TOUCH:
-            fastest[lash] = max(fastest[lash], abs(speed))
-            return rigid.strike(system, regime, guard, time, speed, x, inputs, log, count, fastest[lash])
+            return rigid.strike(system, regime, guard, time, speed, x, inputs, log, count, fastest)
         return rigid.release(system, regime, guard, time, x, inputs, log, count)
     record(log, count, time, speed, row.event_kind, row.successor, lash, row.side, x)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
