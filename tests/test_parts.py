@@ -90,7 +90,10 @@ def resumed(study, target, **options):
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
 def test_a_stopped_sweep_goes_on_where_it_was_and_ends_with_the_same_bits(study, whole, target, error):
     first = stopped(study, target, 60, error)
+    foreign = target.parent / f"{target.name}.partial" / "part-000001 (copy of another program)"
+    foreign.touch()
     second = stopped(study, target, 150, error)
+    foreign.unlink()
     assert 60 <= first < second < 289
     results, parts = resumed(study, target, workers=1)
     assert parts.taken_up == second

@@ -8,10 +8,11 @@ from test_sweeping import equal, figure_3_4
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
+from clunk.study.errors import ClunkError
 from clunk.sweeping import cells
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.parts import from_bytes, to_bytes
-from clunk.sweeping.reduction import Reduction, regime_map
+from clunk.sweeping.reduction import Reduction, in_order, regime_map
 from clunk.sweeping.sweep import sweep
 
 ORIGIN = bytes(range(32))
@@ -108,3 +109,11 @@ def test_bytes_of_another_origin_cut_or_changed_are_refused(tile):
     for changed, origin in [(raw, ORIGIN[::-1]), *((each, ORIGIN) for each in [*flipped, *cut, raw + b"\0"])]:
         with pytest.raises(ValueError, match="damaged, or of another study"):
             from_bytes(bytes(changed), origin)
+
+
+def test_more_labels_than_a_map_can_number_are_refused_in_a_sentence():
+    words = [f"SS({count})" for count in range(32_768, 0, -1)]
+    labels, numbers = in_order(words[1:])
+    assert [labels[number] for number in numbers[:3]] == words[1:4]
+    with pytest.raises(ClunkError, match="32,768 labels, and a map can hold 32,767"):
+        in_order(words)

@@ -82,6 +82,11 @@ class Tile:
     details: Records
 
 
+def most_of_load(study: Study) -> int:
+    """Most runs at a time whose loads, if each has its own, are of a bounded size."""
+    return max(_TILE_POINTS // len(study.load.times or (0,)), 1)
+
+
 def leaves_system(study: Study, parameter: str) -> bool:
     """Whether cells that differ in a parameter have the same system: only the load's pieces or the gap change."""
     of_wave = f"load.{WAVES.get(study.load.profile)}"
@@ -104,7 +109,7 @@ class Grid:
         self.layout = layout_of(study)
         parameters = (each.parameter for each in self.design.parameters)
         self.structural = tuple(key for key in parameters if not leaves_system(study, key))
-        self.tile_cells = min(_TILE_CELLS[study.solver.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
+        self.tile_cells = min(_TILE_CELLS[study.solver.method], most_of_load(study))
         if self.structural:
             self.tile_cells = min(self.tile_cells, _TILE_BATCHES * most_prepared(study))
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points

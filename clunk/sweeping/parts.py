@@ -76,7 +76,7 @@ class WorkingDirectory:
 
     def parts(self) -> list[Path]:
         """The parts, in the order in which they were written."""
-        return sorted(self.path.glob("part-*"))
+        return sorted(self.path.glob("part-" + 6 * "[0-9]"))
 
     def clear(self) -> None:
         """Remove everything but the lock."""

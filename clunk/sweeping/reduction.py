@@ -6,7 +6,7 @@ and tolerance maps (`clunk.sweeping.tolerances`) differ in the runner and in the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -67,8 +67,20 @@ class Labels:
 
         They are in `label_order`, so that they do not depend on which cell finished first.
         """
-        labels = tuple(sorted(self._codes, key=label_order))
-        return labels, np.array([*map(labels.index, self._codes), FAILED_CODE], np.int16)
+        labels, numbers = in_order(list(self._codes))
+        return labels, np.append(numbers, np.int16(FAILED_CODE))
+
+
+def in_order(words: Sequence[str]) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
+    """Labels in `label_order`, and each one's number there. Raises ClunkError where they are more than a map holds."""
+    labels, most = tuple(sorted(words, key=label_order)), np.iinfo(np.int16).max
+    if len(labels) > most:
+        raise ClunkError(
+            f"The runs have {len(labels):,} labels, and a map can hold {most:,}: shorten solver.end_time, or run fewer "
+            "cells."
+        )
+    numbers = {word: number for number, word in enumerate(labels)}
+    return labels, np.array([numbers[word] for word in words], np.int16)
 
 
 class Reduction:

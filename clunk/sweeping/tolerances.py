@@ -15,15 +15,15 @@ import numpy.typing as npt
 
 from clunk.core.regimes import System
 from clunk.core.status import Status
-from clunk.results.labels import FAILED_CODE, label_order
+from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import QUANTILES, ToleranceMap, most_likely
 from clunk.study.arrays import Cells, Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import along_run, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
-from clunk.sweeping.cells import Flag, Grid, Layout, Tile
-from clunk.sweeping.reduction import Labels, Reduction
+from clunk.sweeping.cells import Flag, Grid, Layout, Tile, most_of_load
+from clunk.sweeping.reduction import Labels, Reduction, in_order
 
 TOLERANCE_CELL = np.dtype(
     [
@@ -62,7 +62,8 @@ class SampleRunner:
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.sweep.sampling.count
         self.drawn = drawn_numbers(study, self._tolerances)
-        self.tile_cells = max(1, _TILE_RUNS // self.draws)
+        self._at_a_time = min(_TILE_RUNS, most_of_load(nominal))
+        self.tile_cells = max(1, self._at_a_time // self.draws)
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order of their systems."""
@@ -79,7 +80,7 @@ class SampleRunner:
         severity = np.full((count, self.draws + 1), np.nan)
         status = np.zeros((count, self.draws + 1), np.uint8)
         seen = Labels()
-        at_a_time = max(_TILE_RUNS // cells.size, 1)
+        at_a_time = max(self._at_a_time // cells.size, 1)
         for begin in range(0, self.draws + 1, at_a_time):
             draws = np.arange(begin, min(begin + at_a_time, self.draws + 1))
             values = self._values(draws, cells)
@@ -101,8 +102,8 @@ class SampleRunner:
         records, outcomes = reduction.collected()
         texts, inverse = np.unique(outcomes["label"], return_inverse=True)
         words = [text.decode() for text in texts.tolist()]
-        labels = tuple(sorted(words, key=label_order))
-        codes = np.array([labels.index(word) for word in words], np.int16)[inverse.reshape(-1)]
+        labels, numbers = in_order(words)
+        codes = numbers[inverse.reshape(-1)]
         count, shape = records["outcomes"], reduction.shape
         runs = np.zeros((reduction.rows, len(labels) + 1), np.int32)
         runs[np.repeat(np.arange(reduction.rows), count), codes] = outcomes["runs"]
