@@ -2,14 +2,19 @@
 
 Nothing here knows files, units of the config or people; it imports numpy, numba and its llvmlite only. One load step,
 in reading order: `tables` (elements, and regimes as combinations of their states), `regimes` (the system as data, with
-`equilibrium`: its steady motion), `switching` (preload, and what happens at an event), `rigid` (impacts and releases of
-rigid flanks), `rubbing` (which flanks stay locked and which frictions stick then), `runs` (what a run begins with and
-leaves behind, and `status`: how it ended), then one of two methods, and `events`, `sequence` and `severity` (label, Q
-and V), `tile` (many runs), `jit` (how all of it is compiled, once for all drivelines), `partial` (all that reaches
-into numba's inner parts, without which it takes longer) and `references` (systems and workspaces as arguments). Kernels
-allocate nothing: what calls them makes their room.
+`equilibrium`: its steady motion, `reductions`: coordinates of what can move, and `batches`: many at once), `events` and
+`runs` (what a run begins with and leaves behind, and `status`: how it ended), `switching` (preload, and what happens at
+an event), `rigid` (impacts and releases of rigid flanks), `rubbing` (which flanks stay locked and which frictions stick
+then), then one of two methods, and `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit` (how all of it
+is compiled, once for all drivelines), `partial` (all that reaches into numba's inner parts, without which it takes
+longer) and `references` (systems and workspaces as arguments). Kernels allocate nothing: what calls them makes their
+room. `simulation.driveline` prepares the system, and the tables of a method.
 
-`rk4`: `run` (a run from preload to end), `step` and `quartic` (one short step with everything in it located),
+Both methods share the system, its guards, the preload, what happens at an event (`switching`, `rigid`, `rubbing`) and
+the label. They differ in how they flow, locate events and extremes, and know that a run is over. That they agree says
+nothing of what they share; `tests/helpers/reference.py`, which shares nothing, checks that.
+
+`rk4`: `run` (a run from the load step to its end), `step` and `quartic` (one short step with everything in it located),
 `propagator` (full steps as matrices), `settling` (when a run is over).
 
 `exact`: `run` (a run, and what it does at an event), `step` (propose a span, prove it, or find the event), `search`
@@ -24,7 +29,7 @@ driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 
 A sweep enters by `tile.run_tile`: for each cell `_begin`, then `run.begin` and `run.advance` of the exact method or
 `rk4.run.run`, and at the end `_describe`, which packs the primaries' flanks into a `pattern`; a single run is a tile of
-one cell. Whoever reads the results unpacks the pattern, and has its label from `sequence.label`.
+one cell. `sweeping.reduction.flanks_of` unpacks the pattern, and `sequence.label` makes its label.
 
 Words
 -----
@@ -41,6 +46,10 @@ window      from one primary impact of a lash to its next, over which the accele
 margin      how near a lash came to another label: positive by what did not happen, negative by what did
 turn        a point where a functional turns back; depth: how far a guard would fall beyond zero before it does
 load step   the change of the torque at time zero
+piece       of the load: a time in which its torque is a level, a slope and a wave; kink: where the next one begins
+wave        two numbers carried with the state, which make a load's sinusoid or exponential (rk4: its ramps, too)
+flank       one of the two sides of a lash; side: +1 or -1, the sign of q on it
+leader      the first regime of a group, whose flow and guards are read for all of it
 step        rk4: a step of the time grid; exact: a span, or a part of the shortest, that runs take together
 span        one of a ladder of time intervals, two an octave, for which a flow's propagator is tabulated
 origin      a particular solution of a flow, which the modal coordinates are measured from

@@ -3,8 +3,9 @@
 Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of each lash's
 acceleration over that phase are kept beside it, one-sided limits at both ends included, so that the peak-to-peak value
 of a primary impact's window is the extremes of the phases in it. (The exact method locates those that count there, and
-no others.) Where there is more than one lash, a phase shorter than INSTANT has none: what happens at one time to
-several lashes is written one after the other, and no state in between counts, in whichever order rounding puts them.
+no others, each over its lash's window so far: the extremes of the last phase are those of the window.) Where there is
+more than one element, a phase shorter than INSTANT has none: what happens at one time in several is written one after
+the other, and no state in between counts, in whichever order rounding puts them.
 """
 
 import numpy as np
@@ -15,7 +16,7 @@ SEPARATION = 2  # the contact ends: the gap opens, or the contact force turns te
 REJOIN = 3  # separation by force only: the force turns compressive while the flanks still overlap
 OPENING = 4  # separation by force only: the flanks stop overlapping
 LOCK = 5  # restitution only, with the touch before it: the flanks stay together
-STAGE = 6  # the twist of a staged shaft passes a breakpoint; written only where the states at events are kept
+STAGE = 6  # a shaft's twist passes a breakpoint, or what sticks or is held changes; written where states are kept
 
 KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening", "lock", "stage")
 
@@ -24,7 +25,7 @@ INSTANT = 1e-12  # s: events closer than this are at the same time
 EVENT = np.dtype(
     [
         ("time", np.float64),  # s after the load step
-        ("speed", np.float64),  # rad/s, q' = θ'i - θ'j just before
+        ("speed", np.float64),  # rad/s, q' = θ'i - ratio θ'j just before
         ("kind", np.int64),
         ("regime", np.int64),  # the one that follows, see clunk.core.regimes
         ("side", np.int64),  # the flank concerned: sign of q on it; at the load step the first lash's, 0 if it is open

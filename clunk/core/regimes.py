@@ -66,7 +66,7 @@ class System(NamedTuple):
     functionals_per_lash: int
     lashes: FloatArray  # (L, N)  q' = lashes · x
     inertias: int  # n
-    ramps: int  # whether the torque's rate of change can be other than zero
+    ramps: int  # whether the torque's rate of change is an input: exact, loads with ramps; rk4 has them in the wave
     # the regimes
     regimes: npt.NDArray[np.void]  # (R,) REGIME
     contacts: npt.NDArray[np.void]  # (R, L) CONTACT
@@ -96,7 +96,7 @@ class System(NamedTuple):
     drift: FloatArray
     # scalars
     end_time: FloatArray  # (1,)  s after the load step
-    sticking_time: FloatArray  # (L,)  s
+    sticking_time: FloatArray  # (L,)  s; 0 of rigid flanks, which have no contact period
     status: int  # why this system cannot be run, or OK
 
 
@@ -286,7 +286,7 @@ def build_system(
     wave_rates : (2, 2) float64, optional  [1/s]
         S of the load's wave, for loads that have one.
     ramps : bool
-        Whether the torque's rate of change, an input, can be other than zero.
+        Whether the torque's rate of change is an input, and can be other than zero.
     staged : of StagedShaft
         Their stiffness in a flow's stages is part of its chain's.
     loose : of bool

@@ -91,7 +91,7 @@ def strike(
     if rebounds:
         return Entry(count, regime, guard, 1)
     if frictions_of(system) > 0:
-        return settle(system, system.guards[regime, guard].successor, -1, lash, time, x, inputs, log, count)
+        return enter_chosen(system, system.guards[regime, guard].successor, -1, lash, time, x, inputs, log, count)
     stays_open = -1
     for k in range(first, last + 1):
         lash, side = log.events[k].lash, log.events[k].side
@@ -249,12 +249,12 @@ def release(
         record(log, count + 2, time, 0.0, LOCK, successor, lash, -side, x)
         return Entry(count + 3, successor, 0, 1)
     if others != 0 or frictions_of(system) > 0:
-        return settle(system, regime, guard, -1, time, x, inputs, log, count)
+        return enter_chosen(system, regime, guard, -1, time, x, inputs, log, count)
     return _part(system, regime, -1, Entry(count, row.successor, -1, 0), time, x, inputs, log)
 
 
 @part
-def settle(
+def enter_chosen(
     system: System,
     regime: int,
     ended: int,
@@ -265,13 +265,13 @@ def settle(
     log: Log,
     count: int,
 ) -> Entry:
-    """Entry into the regime of `rubbing.settle`, with the events that this makes.
+    """Entry into the regime of `rubbing.choose_states`, with the events that this makes.
 
     touched : int
         The lash that touches at this moment, which locks or never was closed, or -1.
     """
     before = _resting_on(system, regime, x, inputs, log, count)
-    successor, zero_guard, zero_order = rubbing.settle(system, regime, before, ended, time, x, inputs)
+    successor, zero_guard, zero_order = rubbing.choose_states(system, regime, before, ended, time, x, inputs)
     rests = touched >= 0 and rubbing.is_carried(system, successor, touched, x, inputs)
     if touched >= 0 and (rests or system.contacts[successor, touched].closed != 0):
         record(log, count, time, 0.0, LOCK, successor, touched, system.contacts[regime, touched].side, x)
@@ -286,7 +286,7 @@ def settle(
 
 @part
 def _resting_on(system: System, regime: int, x: FloatArray, inputs: FloatArray, log: Log, count: int) -> int:
-    """The regime with those lashes closed that have not separated, and whose flanks others hold on each other."""
+    """The regime with those lashes closed that have not separated, as the log tells, and whose flanks others hold."""
     for lash in range(lashes_of(system) if frictions_of(system) > 0 and system.impulsive != 0 else 0):
         if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(system, regime, lash, x, inputs):
             last = count - 1

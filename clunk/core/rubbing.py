@@ -67,7 +67,7 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
 
 
 @part
-def settle(
+def choose_states(
     system: System, regime: int, resting_on: int, ended: int, time: float, x: FloatArray, inputs: FloatArray
 ) -> tuple[int, int, int]:
     """The regime that follows one in which a guard of what rests turned negative, or torques or rates may jump.

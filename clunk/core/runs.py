@@ -91,7 +91,7 @@ def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs
 
 @inlined_part
 def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> None:
-    """Set the wave in a state to what it is where a piece begins; where no ramp is an input, it is the wave's part."""
+    """Set the wave in a state to what it is where a piece begins; a ramp that is no input is in its second number."""
     size = 2 * system.inertias
     if x.size > size:
         x[size], x[size + 1] = load[piece, WAVE], load[piece, WAVE_PARTNER]

@@ -26,7 +26,10 @@ _SENTENCES = {
     ),
     Status.NO_INITIAL_FLANK: "no initial flank: the lash carries no torque in the steady motion before the load step",
     Status.NON_FINITE: "the state became infinite or undefined",
-    Status.EVENT_BUFFER_FULL: "more events than solver.max_events allows; raise it, or shorten solver.end_time",
+    Status.EVENT_BUFFER_FULL: (
+        "more events than solver.max_events allows, or more changes of stage than are followed; "
+        "raise solver.max_events, or shorten solver.end_time"
+    ),
     Status.UNSTABLE_STEP: "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode)",
 }
 

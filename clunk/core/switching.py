@@ -45,14 +45,15 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
     """Set `x` to steady motion in contact; return the status and the regime.
 
     The initial flanks are those that press in it. Of the regimes in which all lashes are closed it is the first one in
-    which they do, and within whose stages the shafts' steady twists lie; there is one, as no stiffness is negative.
+    which they do, and within whose stages the shafts' steady twists lie; there is one at most, as no stiffness is
+    negative. All frictions stick in these, whose numbers come before those of regimes in which one slips.
 
     Parameters
     ----------
     inputs : (INPUTS + L - 1 or more,) float64
         d before the load step  [N m, rad, N m/s, rad].
     x : (N,) float64  [rad, rad/s]
-        Output.
+        Output, whatever the status.
     """
     system = refer(system)
     lashes, stages = lashes_of(system), system.preload.shape[0]
@@ -125,6 +126,7 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
     """Set state and inputs to those at the load step, and write that; return what the run has rolled by  [rad].
 
     piece : the one that the load begins with
+    inputs : output; what is no torque, gap or twist of a friction is 1 already
     """
     load, side = start.loads[start.load], system.contacts[start.regime, 0].side
     set_gaps(system, start.before, inputs)
@@ -169,6 +171,8 @@ def switch(
     ----------
     x : (N,) float64  [rad, rad/s]
         State at the event; reset in place.
+    inputs : (I,) float64
+        d; the twists at which frictions begin to stick are written there.
     log : Log
         Output, from `count` on.
     fastest : (L,) float64  [rad/s]
@@ -178,7 +182,7 @@ def switch(
     if row.event_kind == STAGE:
         entry = Entry(count, row.successor, row.zero_guard, row.zero_order)
         if row.successor < 0:
-            entry = rigid.settle(system, regime, guard, -1, time, x, inputs, log, count)
+            entry = rigid.enter_chosen(system, regime, guard, -1, time, x, inputs, log, count)
         if log.states.shape[0] > 0 and entry.written == count:
             record(log, count, time, 0.0, STAGE, entry.regime, -1, 0, x)
             return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
@@ -195,11 +199,14 @@ def switch(
 
 
 @inlined_part
-def after_rubbing(system: System, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log) -> Entry:
-    """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped."""
+def recheck_frictions(system: System, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log) -> Entry:
+    """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped.
+
+    State and inputs may change, and events be written, as at a switch.
+    """
     if frictions_of(system) == 0:
         return entry
-    settled = rigid.settle(system, entry.regime, -1, -1, time, x, inputs, log, entry.written)
+    settled = rigid.enter_chosen(system, entry.regime, -1, -1, time, x, inputs, log, entry.written)
     if entry.zero_guard < 0:
         return settled
     before = system.guards[entry.regime, entry.zero_guard]

@@ -81,7 +81,7 @@ class Cases(NamedTuple):
     regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  in which it is
 
     def at(self, index: npt.NDArray[np.intp] | slice) -> "Cases":
-        """The cells at these positions."""
+        """The cells at these positions, which begin in steady motion, whatever states these have."""
         loads = self.loads if len(self.loads) == 1 else self.loads[index]
         drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
         return Cases(self.before[index], loads, drivelines)
@@ -118,7 +118,7 @@ def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray
 
 
 class Batch(NamedTuple):
-    """Drivelines that differ in inertias, stiffnesses, dampings and radii only: for rk4 one, else any number D of them.
+    """Drivelines that differ in the fields of `Each` only: for rk4 one, else any number D of them.
 
     All have the same `modal` and `steady` in their `Flows` (`simulation.batches` sees to that),
     and the same fields of `System` that `Each` does not name: of these the first driveline's are read for all.

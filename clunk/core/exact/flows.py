@@ -12,7 +12,7 @@ The angle that a driveline rolls by, if nothing holds it, moves no functional. I
 nothing to an amplitude. In states that come of coordinates it stands apart, at the first inertia that rolls: the other
 angles are less their share of it, so that they have their digits however far it goes.
 
-Four pairs of coordinates lie together: first the one member of each, then the other.
+Four pairs of coordinates lie together: first the one member of each, then the other, as [a0 a1 a2 a3 b0 b1 b2 b3].
 
 A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
 the energy; that never grows either. It can take the shortest span only, by its Taylor series. So does a flow with a

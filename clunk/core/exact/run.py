@@ -49,7 +49,7 @@ from clunk.core.regimes import (
 from clunk.core.rigid import holding_torque
 from clunk.core.runs import LEVEL, Entry, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, after_rubbing, begin_run, preload, room_for_a_switch, switch, weigh
+from clunk.core.switching import MOST_STAGES, begin_run, preload, recheck_frictions, room_for_a_switch, switch, weigh
 from clunk.core.tables import GAP, TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
@@ -69,20 +69,23 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(lashes_of(system)):
-        play, own = space.plays[slot, lash], space.numbers[slot, lash_at(space, lash) :]
-        play.last_side = system.contacts[start.regime, lash].side
-        play.contact_began, play.from_sticking = -np.inf, 0
+        course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+        course.last_side = system.contacts[start.regime, lash].side
+        course.contact_began, course.from_sticking = -np.inf, 0
         space.fastest[slot, lash] = 0.0
         own[rows.MARGIN] = MOST
         # no acceleration counts before the first primary impact
         own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = np.inf, -np.inf
-    _set_rest(space, slot, start)
+    _set_static(space, slot, start)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
 
 @inlined_part
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
-    """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
+    """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue.
+
+    The load goes on to its piece at that time, and what no longer sticks there begins to slip, as an event.
+    """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
     load, before = space.loads[row.load], row.piece
@@ -94,7 +97,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     space.numbers[slot, space.kink_at] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     if frictions_of(system) > 0:
         row.count = entry.written
-        entry = after_rubbing(system, entry, time, x, inputs, log_of(space, slot))
+        entry = recheck_frictions(system, entry, time, x, inputs, log_of(space, slot))
         regime = entry.regime
         if entry.written > row.count:
             _close_phase(space, slot)
@@ -107,15 +110,15 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     for k in range(inputs_of(system)):
         space.numbers[slot, space.inputs_at + k] = system.weights[regime, k] * inputs[k]
     for lash in range(lashes_of(system)):
-        contact, play = system.contacts[regime, lash], space.plays[slot, lash]
+        contact, course = system.contacts[regime, lash], space.courses[slot, lash]
         own = space.numbers[slot, lash_at(space, lash) :]
-        held_from = play.contact_began + system.sticking_time[lash] - time
+        held_from = course.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
-        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * play.static
+        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * course.static
         own[rows.HELD_FROM] = held_from if contact.closed != 0 else -np.inf
         own[rows.SIDE] = -1.0 if mirrored else 1.0
         own[rows.SCALE] = scale
-        play.window_max, play.window_min = own[rows.WINDOW_MAX], own[rows.WINDOW_MIN]
+        course.window_max, course.window_min = own[rows.WINDOW_MAX], own[rows.WINDOW_MIN]
     for n in range(entered.watched):
         shift = weigh(system.offsets[regime, n], inputs, inputs_of(system))
         numbers[rows.shift(n, lashes_of(system))] = shift
@@ -124,9 +127,9 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
 
 @part
 def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
-    """Take steps until some runs are over, or `stop` is set. They wait in the queue `over`.
+    """Take steps until as many runs as lanes are over, or none is left, or `stop` is set.
 
-    It is the turn of what most wait for, for as long as there are as many as there are lanes.
+    Those wait in the queue `over`. A queue has its turns while it fills the lanes, and then the longest one has.
     """
     vectors.align_stack()
     pool, queues, queue = space.pool, space.queues, space.queues.span
@@ -250,8 +253,8 @@ def _close_phase(space: Workspace, slot: int) -> None:
 def _forget_phase(space: Workspace, slot: int) -> None:
     """Forget the extremes of a phase that lasted no time."""
     for lash in range(lashes_of(space.system)):
-        play, own = space.plays[slot, lash], space.numbers[slot, lash_at(space, lash) :]
-        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = play.window_max, play.window_min
+        course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = course.window_max, course.window_min
 
 
 @inlined_part
@@ -293,17 +296,17 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
         if event.lash < 0:
             continue
         lash = event.lash
-        play = space.plays[slot, lash]
+        course = space.courses[slot, lash]
         if event.kind == TOUCH:
-            if event.side != play.last_side or play.from_sticking != 0:
+            if event.side != course.last_side or course.from_sticking != 0:
                 # a primary impact, by the rule of `sequence.find_primaries`: its window is empty, anything counts
                 own = space.numbers[slot, lash_at(space, lash) :]
                 own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = -np.inf, np.inf
-            play.last_side, play.contact_began, play.from_sticking = event.side, event.time, 0
+            course.last_side, course.contact_began, course.from_sticking = event.side, event.time, 0
         elif event.kind == LOCK:
-            play.contact_began = event.time
+            course.contact_began = event.time
         elif event.kind == SEPARATION:
-            play.from_sticking = int(event.time - play.contact_began > system.sticking_time[lash])
+            course.from_sticking = int(event.time - course.contact_began > system.sticking_time[lash])
 
 
 @inlined_part
@@ -313,24 +316,24 @@ def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> Non
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
     if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
         return
-    play, own = space.plays[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+    course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
     margin = own[rows.MARGIN]
-    age, sticking_time = time - play.contact_began, system.sticking_time[lash]
+    age, sticking_time = time - course.contact_began, system.sticking_time[lash]
     if guard.event_kind == SEPARATION and abs(age - sticking_time) < abs(margin) * sticking_time:
         margin = 1.0 - age / sticking_time
-    if guard.event_kind == REJOIN and age > sticking_time and play.static > 0.0:
+    if guard.event_kind == REJOIN and age > sticking_time and course.static > 0.0:
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
         overlap = max(_overlap(system, lash, guard.side, x, space.inputs[slot]), 0.0)
-        if overlap / play.static < abs(margin):
-            margin = overlap / play.static
+        if overlap / course.static < abs(margin):
+            margin = overlap / course.static
     own[rows.MARGIN] = margin
 
 
 @part
-def _set_rest(space: Workspace, slot: int, start: Start) -> None:
-    """Set how far each lash's flanks overlap, or the torque that locks them, in steady motion at the load's end.
+def _set_static(space: Workspace, slot: int, start: Start) -> None:
+    """Set `static`: how far flanks overlap, or the torque that locks them, in steady motion at the load's end.
 
-    Where there is none, it is that before the load step; without a flank it is zero.
+    Where there is none, it is that before the load step; without a flank it is zero. The run's state is overwritten.
     """
     system, inputs = system_of(space, slot), space.inputs[slot]
     x, torque, rate = space.state[slot, : system.lashes.shape[1]], inputs[TORQUE], inputs[TORQUE_RATE]
@@ -345,7 +348,7 @@ def _set_rest(space: Workspace, slot: int, start: Start) -> None:
             static = side * holding_torque(system, regime, lash, x, inputs)[0]
         else:
             static = _overlap(system, lash, side, x, inputs)
-        space.plays[slot, lash].static = max(static, 0.0) if status == _OK else 0.0
+        space.courses[slot, lash].static = max(static, 0.0) if status == _OK else 0.0
     inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
 
 

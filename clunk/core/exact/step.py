@@ -231,7 +231,7 @@ def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     """Where an acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
 
     Each lash's lanes are in `may_widen`, and its acceleration at the step's beginning, if it matters, in
-    `accelerations`.
+    `accelerations`. The windows take the value at a phase's beginning.
     """
     may_widen, enters = 0, field(space, rows.ELAPSED) <= 0.0
     for lash in range(lashes_of(space.system)):
@@ -372,6 +372,8 @@ def _first_zero(
 def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
     """Look at the guards at the step's end, and prove that they stayed positive over its time h.
 
+    That they are not negative at its beginning `_propose_span` has seen; the bound in between is `curves.between`.
+
     Returns
     -------
     failed : int
@@ -484,12 +486,12 @@ def _label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
     """Whether a label hangs on how deep the guard goes that ended a run's phase."""
     system, row = system_of(space, slot), space.runs[slot]
     guard, lash = system.guards[row.regime, n], lash_of(system, row.regime, n)
-    play, now = space.plays[slot, lash], row.time + space.numbers[slot, space.behind + rows.ELAPSED]
+    course, now = space.courses[slot, lash], row.time + space.numbers[slot, space.behind + rows.ELAPSED]
     if guard.event_kind == TOUCH:  # a primary one
-        return bool(guard.side != play.last_side or play.from_sticking != 0)
+        return bool(guard.side != course.last_side or course.from_sticking != 0)
     if guard.event_kind == OPENING:  # by force: it counts after a contact that held
-        return bool(play.from_sticking != 0)
-    return bool(guard.event_kind == SEPARATION and now - play.contact_began > system.sticking_time[lash])
+        return bool(course.from_sticking != 0)
+    return bool(guard.event_kind == SEPARATION and now - course.contact_began > system.sticking_time[lash])
 
 
 @inlined_part

@@ -47,7 +47,7 @@ RUN = np.dtype(
     align=True,
 )
 
-PLAY = np.dtype(  # of a run in one lash
+COURSE = np.dtype(  # what the flanks of one lash have done so far in a run
     [
         ("last_side", np.int64),
         ("from_sticking", np.int64),
@@ -87,10 +87,10 @@ class Workspace(NamedTuple):
     searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each run's searches; the last row is scratch again
     searches_each: int  # L + G + 1
     behind: int  # where the numbers that `rows` names begin in a row
-    inputs_at: int  # and where the inputs do
+    inputs_at: int  # and where u does, what the run's regime makes of its inputs
     kink_at: int  # and whether the load has not come to rest
     runs: npt.NDArray[np.void]  # (S + 1,) RUN
-    plays: npt.NDArray[np.void]  # (S + 1, L) PLAY
+    courses: npt.NDArray[np.void]  # (S + 1, L) COURSE
     fastest: FloatArray  # (S, L)  rad/s, of the touches of each lash so far
     loads: FloatArray  # (loads, P, PIECE)
     inputs: FloatArray  # (S, I)  d of each run, when its phase or its load's piece began
@@ -159,7 +159,7 @@ def make_workspace(
         inputs_at=inputs_at,
         kink_at=kink_at,
         runs=np.zeros(slots + 1, RUN),
-        plays=np.zeros((slots + 1, lashes), PLAY),
+        courses=np.zeros((slots + 1, lashes), COURSE),
         fastest=np.zeros((slots, lashes)),
         loads=loads,
         inputs=np.ones((slots, driven)),
@@ -247,7 +247,7 @@ def lash_at(space: Workspace, lash: int) -> int:
 
 @inlined_part
 def is_still(space: Workspace, flow: int) -> bool:
-    """Whether no origin of a flow moves, whatever the inputs of a run are."""
+    """Whether no functional of a flow's origin moves, whatever the inputs of a run are; the origin itself may roll."""
     return bool(space.flows.steady[0, flow] != 0 and space.system.ramps == 0)
 
 

@@ -17,29 +17,29 @@ IntArray = npt.NDArray[np.int64]
 # in the step's Taylor terms c_k = p_k h^k; these factors make that a plain sum.
 BEND = (1.0, 0.25, 0.75, 1.5)
 BLOCK = 4  # steps in one product: a third fewer operations a step than four products, and a quarter of their latency
-_LANES = 8  # states and outputs are padded to whole SIMD blocks; rk4.advance unrolls over one block of columns
+_LANES = 8  # states and outputs are padded to whole SIMD blocks; `rk4.run` unrolls over one block of columns
 _MAX_CONDITION = 1e8  # of an eigenbasis; beyond it half the digits of the modal amplitudes are gone
 
 
 class Steps(NamedTuple):
-    """RK4's tables for one system; N states, I inputs, F functionals, L flows."""
+    """RK4's tables for one system; N states, I inputs, F functionals, K flows."""
 
     step: float  # s
     # one full step, x -> (x, outputs); outputs are each functional's value and its Taylor terms of order 2, 3, 4 over
     # the next step, times BEND
-    transfer: FloatArray  # (L, columns, rows)  rows contiguous
-    transfer_input: FloatArray  # (L, I, rows)
+    transfer: FloatArray  # (K, columns, rows)  rows contiguous
+    transfer_input: FloatArray  # (K, I, rows)
     # BLOCK full steps at once, x -> (x, outputs at every step)
-    block: FloatArray  # (L, columns, rows)
-    block_input: FloatArray  # (L, I, rows)
-    observe: FloatArray  # (L, columns, outputs)
-    observe_input: FloatArray  # (L, I, outputs)
+    block: FloatArray  # (K, columns, rows)
+    block_input: FloatArray  # (K, I, rows)
+    observe: FloatArray  # (K, columns, outputs)
+    observe_input: FloatArray  # (K, I, outputs)
     # a bound on all that can follow: amplitudes of decaying modes
-    provable: IntArray  # (L,)  whether the flow's modes give such a bound
-    mode_rows: npt.NDArray[np.complex128]  # (L, N, N)  left eigenvectors, one of each pair
-    mode_reach: FloatArray  # (L, F, N)  largest change of a functional per unit amplitude of a mode
-    rest_state: FloatArray  # (L, N, I)  steady motion per unit of the inputs, without its drift
-    rest_functional: FloatArray  # (L, F, I)
+    provable: IntArray  # (K,)  whether the flow's modes give such a bound
+    mode_rows: npt.NDArray[np.complex128]  # (K, N, N)  left eigenvectors, one of each pair
+    mode_reach: FloatArray  # (K, F, N)  largest change of a functional per unit amplitude of a mode
+    rest_state: FloatArray  # (K, N, I)  steady motion per unit of the inputs, without its drift
+    rest_functional: FloatArray  # (K, F, I)
 
 
 def build_steps(system: System, step: float) -> tuple[System, Steps]:

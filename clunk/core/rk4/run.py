@@ -1,7 +1,7 @@
 """Fixed-step RK4 with zero-crossing bisection through the regimes of a switched linear system.
 
 On a linear regime a full step is one precomputed matrix product. It also yields each guard's value and a bound on how
-far the guard bends within the step; while that shows that no guard can turn negative, nothing else is done (`coast`).
+far the guard bends within the step; while that shows that no guard can turn negative, nothing else is done (`_coast`).
 Where it does not, and right after every event, the step is expanded into its quartics, zeros are located by bisection,
 and the rest of the step is finished in the successor regime, so that the time grid stays at multiples of the step.
 Where another piece of the load begins, a step is cut short, and the grid begins anew.
@@ -32,7 +32,7 @@ from clunk.core.runs import (
     set_torque,
 )
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, after_rubbing, begin_run, room_for_a_switch, switch
+from clunk.core.switching import MOST_STAGES, begin_run, recheck_frictions, room_for_a_switch, switch
 from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
@@ -86,7 +86,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
-        entry = after_rubbing(system, entry, begin + index * grid.step + offset, x, inputs, log)
+        entry = recheck_frictions(system, entry, begin + index * grid.step + offset, x, inputs, log)
         roll_states(system, rolled, log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)

@@ -29,7 +29,8 @@ def settled(
 ) -> bool:
     """Whether it is proved that no event follows, and no acceleration beyond the extremes of the open windows.
 
-    Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever.
+    Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever. The
+    first regime tells the initial flanks.
     """
     flow = system.regimes[regime].flow
     if steps.provable[flow] == 0:

@@ -26,7 +26,7 @@ class Room(NamedTuple):
     fastest: FloatArray  # (L,)  rad/s, of the touches of each lash so far
     # the phase: what its regime makes of the inputs and the guards, and a step's expansion
     weighed: FloatArray  # (I,)  u of the regime
-    at: npt.NDArray[np.int64]  # (G,)  where a guard's functional is among the outputs of a full step
+    at: npt.NDArray[np.int64]  # (G,)  where a guard's functional is among the outputs, value and terms 2, 3, 4 of each
     sign: FloatArray  # (G,)
     shift: FloatArray  # (G,)
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
@@ -95,7 +95,7 @@ def first_event(
 
     Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
     guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides. Where
-    there is more than one lash, so is one that is within an instant of it: another lash's event may have been located
+    there is more than one element, so is one that is within an instant of it: another one's event may have been located
     first.
     """
     earliest, which = length, -1
