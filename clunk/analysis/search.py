@@ -11,7 +11,8 @@ is halved next.
 Where further outcomes lie within a bracket, it becomes several.
 
 It ends: of two steps in a row one halves a bracket at least, and where a bracket becomes more than a number that is
-stated beforehand, those are given up as they are. Between two points `_LOOKED` runs at most look for what is hidden.
+stated beforehand, those are given up as they are. Between two points `_LOOKED` runs, and those of one halving more at
+most, look for what is hidden.
 """
 
 from __future__ import annotations

@@ -166,7 +166,7 @@ def _fitting(
 ) -> int:
     """The regime, of those in which only what rests has other states, whose states fit each other best.
 
-    Of several it is the first, and those come first in which no more flanks part than in others.
+    Of several it is the first: one in which some flanks part comes behind those in which only some of these do.
 
     failed : int
         The regime in which locked flanks turned out to pull, or -1.

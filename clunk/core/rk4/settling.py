@@ -27,10 +27,10 @@ def settled(
     log: Log,
     count: int,
 ) -> bool:
-    """Whether it is proved that no event follows, and no acceleration beyond the extremes of the open windows.
+    """Whether no event follows, and no acceleration beyond the extremes of the open windows.
 
-    Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever. The
-    first regime tells the initial flanks.
+    Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever. That
+    is proved for whole steps, and within them looked at in eight places. The first regime tells the initial flanks.
     """
     flow = system.regimes[regime].flow
     if steps.provable[flow] == 0:
