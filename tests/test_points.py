@@ -96,3 +96,11 @@ def test_other_points_have_another_digest(single):
 def test_what_cannot_be_run_is_one_sentence(single, points, sentence):
     with pytest.raises(clunk.ConfigError, match=sentence):
         clunk.run_points(single, points)
+
+
+def test_times_that_decrease_in_one_point_are_refused_though_each_is_allowed():
+    table = "load={profile='table', times=[0.0, 0.2, 0.4], torques=[-6.0, -3.0, -1.0]}"
+    runner = clunk.Runner(clunk.load_study("configs/nominal.toml", [table]), ["load.times[2]", "load.times[3]"])
+    runner([[0.1, 0.2], [0.5, 0.6]])
+    with pytest.raises(clunk.ConfigError, match="times decrease"):
+        runner([[0.5, 0.2]])

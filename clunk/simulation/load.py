@@ -9,6 +9,7 @@ import numpy as np
 from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE, WAVE, WAVE_PARTNER
 from clunk.study.arrays import Floats
 from clunk.study.document import Place
+from clunk.study.errors import ConfigError
 from clunk.study.loads import Load
 from clunk.study.study import Study
 
@@ -69,6 +70,8 @@ def _entries(values: Mapping[str, Any], key: str, count: int) -> Floats:
 def _lines(times: Floats, torques: Floats) -> Floats:
     """(rows, P, PIECE): straight lines between points in time; two at the same time are a jump."""
     times, torques = np.broadcast_arrays(times, torques)
+    if (np.diff(times) < 0.0).any():  # of points, whose values were looked at one by one
+        raise ConfigError("load.times decrease in one of the runs.")
     pieces = np.zeros((*times.shape, PIECE))
     pieces[..., BEGIN], pieces[..., LEVEL] = times, torques
     pieces[:, :-1, SLOPE] = np.diff(torques) / _divisor(np.diff(times))
