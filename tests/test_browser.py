@@ -220,7 +220,7 @@ class TestPage:
         page.wait(lambda: page.driver.execute_script(pointed) is None, message="the label stays")
 
     def test_a_link_holds_the_quantity_the_cell_and_the_numbers(self, page):
-        show_severity(page)
+        show(page, "severity")
         page.driver.execute_script("model('number lash.contact.damping').value = 60.0")
         page.point(9.0, 1.0, click=True)
         page.wait_for("header", "σr = 9, φθ = 1 degrees")
@@ -239,12 +239,12 @@ class TestPage:
         page.wait_for("status", "the config's own numbers")
 
     def test_quantities_are_drawn_and_what_is_seen_is_saved(self, page, study):
-        show_severity(page)
+        show(page, "severity")
         whole = sweep(study, boundaries=False)
         at = np.unravel_index(int(np.argmax(whole.severity)), whole.shape)
         cell = ", ".join(value_text(axis, axis.values[k], symbol=True) for axis, k in zip(whole.axes, at, strict=True))
         page.wait_for("legend", f"largest: {whole.severity.max():.6g} at {cell}")
-        page.driver.execute_script("model('quantity').value = 'label'")
+        show(page, "label")
         page.point(5.0, 6.0, click=True)
         page.wait_for("header", "σr = 5, φθ = 6 degrees")
         page.driver.execute_script("Bokeh.index.find_one(model('save')).click()")
@@ -269,11 +269,11 @@ class TestPage:
         page.wait(lambda: page.driver.find_elements("id", "ended"), message="nothing is said")
 
 
-def show_severity(page):
-    """Draw the severity, and wait for its colour bar, for which the map becomes narrower: clicks before would miss."""
-    page.driver.execute_script("model('quantity').value = 'severity'")
+def show(page, quantity):
+    """Draw a quantity, and wait for the map's width, which a colour bar changes: clicks before would miss."""
+    page.driver.execute_script(f"model('quantity').value = '{quantity}'")
     bar = "return model('map').right.some((each) => each.visible && each.title)"
-    page.wait(lambda: page.driver.execute_script(bar), message="no colour bar")
+    page.wait(lambda: page.driver.execute_script(bar) == (quantity != "label"), message="another colour bar")
     narrow = "return Bokeh.index.find_one(model('map')).frame.bbox.width"
     width = None
     while width != (width := page.driver.execute_script(narrow)):

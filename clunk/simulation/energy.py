@@ -142,11 +142,15 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
 
     lost = 0.0
     if impulsive:
-        touches, lashes = events["kind"] == TOUCH, np.arange(len(line.lashes))
-        lash, closed = events["lash"][touches], system.contacts["closed"][events["regime"][touches]]
-        after = np.einsum("ij,ij->i", states[touches, n : 2 * n], line.lashes[lash])
-        lost_squares = events["speed"][touches] ** 2 - after**2
-        lost = float(np.sum(lost_squares * system.passed[closed @ (1 << lashes), lash, lash]) / 2.0)
+        touches, bits = np.flatnonzero(events["kind"] == TOUCH), 1 << np.arange(len(line.lashes))
+        # touches behind one another with one state are one impact of several lashes
+        alone = (np.diff(touches) > 1) | (states[touches[1:]] != states[touches[:-1]]).any(axis=1)
+        for impact in np.split(touches, np.flatnonzero(alone) + 1):
+            struck = events["lash"][impact]
+            together = system.contacts["closed"][events["regime"][impact[:1]]] @ bits + bits[struck].sum()
+            passed = system.passed[(together - bits[struck])[:, None], struck[:, None], struck]
+            speeds, after = events["speed"][impact], line.lashes[struck] @ states[impact[-1], n : 2 * n]
+            lost += float(speeds @ passed @ speeds - after @ passed @ after) / 2.0
     by_force = np.array([not impulsive and lash.contact.separation == "force" for lash in study.lashes])[events["lash"]]
     dropped, regained = (
         math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))
