@@ -8,6 +8,7 @@ from helpers import reference
 from helpers.agreement import happened_in
 from helpers.reference import Lash, Plant
 
+import clunk
 from clunk.simulation.driveline import build
 from clunk.simulation.trajectory import simulate
 from clunk.study.errors import ClunkError
@@ -58,6 +59,17 @@ def forked(order, restitution=None):
     )
 
 
+def merged(restitution=None):
+    """The branches of `forked` as one of twice their size."""
+    return Plant(
+        inertias=(0.024, 0.004),
+        shafts=((1, "ground", 0.0, 0.1), (2, "ground", 62.6, 0.2)),
+        lash=(),
+        other_lashes=(Lash((1, 2), 0.05, 5200.0, 1.2, restitution=restitution),),
+        acceleration_of=1,
+    )
+
+
 @pytest.mark.parametrize("restitution", [None, 0.5])
 @pytest.mark.parametrize("method", ["exact", "rk4"])
 def test_equal_branches_strike_together(method, restitution):
@@ -65,13 +77,7 @@ def test_equal_branches_strike_together(method, restitution):
 
     Rigid flanks rebound by the speeds that all have before the impacts, and come to rest and lock together.
     """
-    joined = Plant(
-        inertias=(0.024, 0.004),
-        shafts=((1, "ground", 0.0, 0.1), (2, "ground", 62.6, 0.2)),
-        lash=(),
-        other_lashes=(Lash((1, 2), 0.05, 5200.0, 1.2, restitution=restitution),),
-        acceleration_of=1,
-    )
+    joined = merged(restitution)
     run, plain = simulate(study_of(forked((2, 3), restitution), method)), simulate(study_of(joined, method))
     assert len(run.events) == 2 * len(plain.events) - 1
     assert run.events["time"][1::2] == pytest.approx(plain.events["time"][1:], abs=1e-11)
@@ -83,6 +89,17 @@ def test_equal_branches_strike_together(method, restitution):
     mirrored = simulate(study_of(forked((3, 2), restitution), method))
     assert [lash.label for lash in mirrored.lashes] == [lash.label for lash in run.lashes]
     assert mirrored.events["time"] == pytest.approx(run.events["time"], abs=1e-12)
+
+
+@pytest.mark.parametrize("restitution", [None, 0.5])
+def test_equal_branches_share_impulse_and_energy_of_their_impacts(restitution):
+    measured = [
+        study.model_copy(update={"impacts": study.impacts.model_copy(update={"quantities": ("impulse", "energy")})})
+        for study in (study_of(forked((2, 3), restitution), "exact"), study_of(merged(restitution), "exact"))
+    ]
+    shared, whole = (clunk.run_points(study, {"solver.end_time": [study.solver.end_time]}) for study in measured)
+    for name in ("impulse", "energy"):
+        assert shared.arrays[name][0] == pytest.approx(np.full(2, whole.arrays[name][0] / 2.0), rel=1e-9)
 
 
 def test_two_lashes_in_series_of_which_one_has_no_gap():

@@ -13,14 +13,14 @@ presses on one flank only, and
                  flanks rejoin; of rigid flanks the kinetic energy that is lost at touches
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
-from clunk.core.jit import compiled, part
+from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer, reference_at, rows_of
 from clunk.core.regimes import System, gap_input
 from clunk.core.rigid import held_with
@@ -147,7 +147,7 @@ def _measure(
         for j in range(n):
             x[j] = output.states[k, e, j]
         if channels.of_impacts != 0 and event.lash >= 0:
-            _add_event(system, channels, driveline, event, output.impacts, room)
+            _add_event(system, channels, driveline, events[:written], output.states[k], e, output.impacts, room)
         time, end = event.time, system.end_time[0]
         if e + 1 < written:
             end = events[e + 1].time
@@ -174,26 +174,46 @@ def _measure(
 
 @part
 def _add_event(
-    system: System, channels: Channels, driveline: int, event: Any, impacts: npt.NDArray[np.void], room: Room
+    system: System,
+    channels: Channels,
+    driveline: int,
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    e: int,
+    impacts: npt.NDArray[np.void],
+    room: Room,
 ) -> None:
-    """Begin the values of an impact where an event is that, and add what events pass on or take at once.
+    """Begin the values of an impact where event e is that, and add what events pass on or take at once.
 
-    An impulse passes through other lashes too.
+    An impulse passes through other lashes too. Touches behind one another with one state are one impact of several.
     """
-    lash, row, first, x = event.lash, room.row, room.first, room.z
+    event, row, first, x = events[e], room.row, room.first, room.z
+    lash = event.lash
     following, torque = row[lash] + 1, OF_LASH * lash + CONTACT_TORQUE
     if event.kind == TOUCH and following < first[lash + 1] and impacts[following].time == event.time:
         row[lash], room.low[torque], room.high[torque] = following, 0.0, 0.0
     if system.impulsive != 0:
         if event.kind == TOUCH:
-            after, passed = 0.0, channels.passed[driveline, held_with(system, event.regime, lash), lash]
-            for j in range(system.lashes.shape[1]):
-                after += system.lashes[lash, j] * x[j]
+            begin, end, held, impulse = e, e + 1, held_with(system, event.regime, lash), 0.0
+            while _are_one_impact(events, states, begin - 1):
+                begin -= 1
+            while end < events.size and _are_one_impact(events, states, end - 1):
+                end += 1
+            together = held
+            for k in range(begin, end):
+                together |= 1 << events[k].lash
+            for k in range(begin, end):
+                struck = events[k].lash
+                through = channels.passed[driveline, together & ~(1 << struck), struck, lash]
+                impulse += through * (events[k].speed - _speed(system, struck, x))
+            passed = channels.passed[driveline, together & ~(1 << lash), lash]
+            after = _speed(system, lash, x)
             for other in range(row.size):
-                if row[other] >= first[other]:
+                if held >> other & 1 and row[other] >= first[other]:
                     room.of_impacts[row[other], IMPULSE] += abs(passed[other]) * abs(event.speed - after)
             if row[lash] >= first[lash]:
-                room.of_impacts[row[lash], ENERGY] += 0.5 * passed[lash] * (event.speed**2 - after**2)
+                room.of_impacts[row[lash], IMPULSE] += abs(impulse)
+                room.of_impacts[row[lash], ENERGY] += 0.5 * impulse * (event.speed + after)
         return
     if event.kind in (SEPARATION, REJOIN) and row[lash] >= first[lash]:
         overlap = -room.inputs[gap_input(lash)]
@@ -201,6 +221,23 @@ def _add_event(
             overlap += event.side * system.lashes[lash, system.inertias + j] * x[j]
         stored = 0.5 * channels.contact_stiffness[driveline, lash] * overlap**2
         room.of_impacts[row[lash], ENERGY] += stored if event.kind == SEPARATION else -stored
+
+
+@inlined_part
+def _are_one_impact(events: npt.NDArray[np.void], states: FloatArray, e: int) -> bool:
+    """Whether event e and the one behind it are touches with one state."""
+    same = events[e].kind == TOUCH and events[e + 1].kind == TOUCH
+    for j in range(states.shape[1]):
+        same = same and states[e, j] == states[e + 1, j]
+    return bool(same)
+
+
+@inlined_part
+def _speed(system: System, lash: int, x: FloatArray) -> float:
+    speed = 0.0
+    for j in range(system.lashes.shape[1]):
+        speed += system.lashes[lash, j] * x[j]
+    return speed
 
 
 @part
