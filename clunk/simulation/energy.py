@@ -145,7 +145,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         touches, bits = np.flatnonzero(events["kind"] == TOUCH), 1 << np.arange(len(line.lashes))
         # touches behind one another with one state are one impact of several lashes
         alone = (np.diff(touches) > 1) | (states[touches[1:]] != states[touches[:-1]]).any(axis=1)
-        for impact in np.split(touches, np.flatnonzero(alone) + 1):
+        for impact in np.split(touches, np.flatnonzero(alone) + 1) if touches.size else ():
             struck = events["lash"][impact]
             together = system.contacts["closed"][events["regime"][impact[:1]]] @ bits + bits[struck].sum()
             passed = system.passed[(together - bits[struck])[:, None], struck[:, None], struck]
