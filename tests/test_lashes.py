@@ -9,6 +9,7 @@ from helpers.agreement import happened_in
 from helpers.reference import Lash, Plant
 
 import clunk
+from clunk.core.status import Status
 from clunk.simulation.driveline import build
 from clunk.simulation.trajectory import simulate
 from clunk.study.errors import ClunkError
@@ -100,6 +101,15 @@ def test_equal_branches_share_impulse_and_energy_of_their_impacts(restitution):
     shared, whole = (clunk.run_points(study, {"solver.end_time": [study.solver.end_time]}) for study in measured)
     for name in ("impulse", "energy"):
         assert shared.arrays[name][0] == pytest.approx(np.full(2, whole.arrays[name][0] / 2.0), rel=1e-9)
+
+
+def test_no_run_has_more_events_than_allowed_where_several_lashes_touch_and_lock_at_once():
+    study = study_of(forked((2, 3), 0.5), "exact")
+    needed = len(simulate(study).events) - 1  # without the load step
+    for most in range(1, needed):
+        few = study.model_copy(update={"solver": study.solver.model_copy(update={"max_events": most})})
+        runs = clunk.run_points(few, {"solver.end_time": [study.solver.end_time]})
+        assert (runs.status == Status.EVENT_BUFFER_FULL).all(), most
 
 
 def test_two_lashes_in_series_of_which_one_has_no_gap():

@@ -232,6 +232,7 @@ def events_between(runner: Runner, lash: int, one: Floats, other: Floats) -> Cod
     one, other : the points, (n, keys of the runner)
     """
     events = [np.zeros(0, np.int64)]
+    # a run has some events for each touch; how many touches there are is told by running one of each pair before
     touches = runner.run(one).touches.reshape(len(one), -1).sum(axis=1) if len(one) else np.zeros(0)
     pairs_at_once = max(_AT_ONCE // (4 * int(touches.max(initial=0)) + 512), 1)
     for begin in range(0, len(one), pairs_at_once):

@@ -30,7 +30,7 @@ FloatArray = npt.NDArray[np.float64]
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
-_APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one
+_APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
 
 
 @part

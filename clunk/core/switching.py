@@ -141,13 +141,13 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
 def room_for_a_switch(system: System, inputs: FloatArray, log: Log, count: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock.
 
-    With these, each other lash may part where it is closed, or touch where it is open.
+    With these, each other lash may part where it is closed, or touch and lock where it is open.
     """
     most = 1
     if system.impulsive != 0:
         for lash in range(lashes_of(system)):
             most = max(most, 2 if inputs[gap_input(lash)] > 0.0 else 3)
-        most += lashes_of(system) - 1
+        most += 2 * (lashes_of(system) - 1)
     if frictions_of(system) > 0:  # one of them may begin to slip
         most += 1
     return bool(count + most <= log.events.size)

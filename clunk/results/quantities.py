@@ -15,7 +15,7 @@ label=DS(1)SS(1)                     whether it is this one
 nominal_label                        whether it is that of the run without tolerances, see `Quantity.named`
 
 >>> import clunk
->>> >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+>>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
 >>> severity = quantity_of("severity", results)
 >>> severity.type, severity.heading_with_unit, severity.of_runs(results).max() > 2e4
 ('number', 'severity Q [rad/s²]', np.True_)
