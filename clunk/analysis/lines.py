@@ -13,7 +13,6 @@ meet in a point. Where a line is not located, its place is kept as unresolved.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -33,13 +32,6 @@ _RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 6, 20_000
 _SEVERAL, _CUT, _ON_EDGES = 0.5, 0.75, 0.9
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
 _SHIFT = 32  # bits of a node's number in an edge's key
-
-# Corners 0 to 2, and new nodes 3 to 5 on the edges behind them: triangles by the number of new nodes.
-_PATTERNS = {
-    1: ([0, 3, 2], [3, 1, 2]),
-    2: ([3, 1, 4], [0, 3, 4], [0, 4, 2]),
-    3: ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]),
-}
 
 
 def most_runs(cells: int, cost: int = 1) -> int:
@@ -73,24 +65,20 @@ def _length(vectors: Floats) -> Floats:
 
 
 class Triangles:
-    """The triangles of a map's cells in which labels differ, and of such as get a node on an edge.
+    """The triangles of a map, two in each cell, and those that they become where their edges get nodes.
 
-    count : number of nodes, first those of the map, in C order
-    positions, runs : (nodes or more, 2) float64, on each axis from 0 to 1, and (nodes or more,) POINT
+    positions, runs : (nodes, 2) float64, on each axis from 0 to 1, and (nodes,) POINT, first the map's, in C order
     corners : (n, 3) nodes, anticlockwise
     is_new : (n,) whether a triangle was added since this was last cleared
     """
 
     def __init__(self, across: Floats, upward: Floats, runs: Points) -> None:
-        self.shape, outcome = runs.shape, runs["outcome"]
         self.positions: Floats = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
         self.runs: Points = runs.ravel()
-        self.count = self.runs.size
-        self.corners: Nodes = np.zeros((0, 3), np.int64)
-        self.is_new: Bools = np.zeros(0, bool)
-        self._is_open: Bools = np.zeros((self.shape[0] - 1, self.shape[1] - 1), bool)
-        alike = (outcome[:-1, :-1] == outcome[1:, :-1]) & (outcome[:-1, :-1] == outcome[:-1, 1:])
-        self._open(np.argwhere(~(alike & (outcome[:-1, :-1] == outcome[1:, 1:]))))
+        self.nodes: Nodes = np.arange(runs.size).reshape(runs.shape)  # of the map
+        a, b, c, d = self.nodes[:-1, :-1], self.nodes[1:, :-1], self.nodes[1:, 1:], self.nodes[:-1, 1:]
+        self.corners: Nodes = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+        self.is_new: Bools = np.ones(len(self.corners), bool)
 
     @property
     def outcome(self) -> Codes:
@@ -107,55 +95,35 @@ class Triangles:
         turns = (np.argmax(alike[two], axis=1)[:, None] + [2, 3, 4]) % 3
         return np.take_along_axis(corners[two], turns, 1), corners[three]
 
-    def _open(self, cells: Nodes) -> None:
-        """Add both triangles of cells (n, 2) that are not there yet."""
-        within = ((cells >= 0) & (cells < self._is_open.shape)).all(axis=1)
-        cells = np.unique(cells[within], axis=0)
-        cells = cells[~self._is_open[tuple(cells.T)]]
-        self._is_open[tuple(cells.T)] = True
-        a = cells[:, 0] * self.shape[1] + cells[:, 1]
-        b, c, d = a + self.shape[1], a + self.shape[1] + 1, a + 1
-        self._append(np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
-
-    def _append(self, corners: Nodes) -> None:
-        self.corners = np.concatenate([self.corners, corners])
-        self.is_new = np.append(self.is_new, np.ones(len(corners), bool))
-
     def add(self, keys: Codes, positions: Floats, runs: Points) -> None:
         """Add a node on each of these edges, of which none comes twice."""
-        if not keys.size:
-            return
-        self._open_beside(keys)
         order = np.argsort(keys)
-        middle = np.full(keys.size + 1, -1)  # the last is of edges that stay whole
-        middle[:-1] = self.count + order
-        keys = keys[order]
-        begin, self.count = self.count, self.count + keys.size
-        if self.count > len(self.runs):  # with room for more: most nodes are those of the map
-            room = self.count + begin // 8
-            self.positions, self.runs = np.resize(self.positions, (room, 2)), np.resize(self.runs, room)
-        self.positions[begin : self.count], self.runs[begin : self.count] = positions, runs
-        every = keys_of(self.corners, np.roll(self.corners, -1, axis=1))
-        at = np.minimum(np.searchsorted(keys, every), keys.size - 1)
-        new = middle[np.where(keys[at] == every, at, -1)]  # on the edges behind each corner
-        count = (new >= 0).sum(axis=1)
-        # turned so that of one new node the edge is the first, and of two the whole one is the last
-        turns = np.where(count == 1, np.argmax(new >= 0, axis=1), (np.argmax(new < 0, axis=1) + 1) % 3)
-        turned = (turns[:, None] + np.arange(3)) % 3
-        six = np.concatenate([np.take_along_axis(each, turned, 1) for each in (self.corners, new)], axis=1)
-        self.corners, self.is_new = self.corners[count == 0], self.is_new[count == 0]
-        for split, pattern in _PATTERNS.items():
-            for three in pattern:
-                self._append(six[count == split][:, three])
+        nodes = len(self.runs) + order
+        self.positions, self.runs = np.concatenate([self.positions, positions]), np.concatenate([self.runs, runs])
+        while keys.size and self._halve(keys[order], nodes):
+            pass
 
-    def _open_beside(self, keys: Codes) -> None:
-        """Add the cells beside edges of the map's own nodes."""
-        first, second = ends_of(keys)
-        grid = second < self.shape[0] * self.shape[1]
-        low, high = (np.stack(np.divmod(ends[grid], self.shape[1]), axis=1) for ends in (first, second))
-        step = high - low
-        straight = step.sum(axis=1) == 1  # of a diagonal the cell is open
-        self._open(np.concatenate([low[straight], low[straight] - step[straight][:, ::-1], low[~straight]]))
+    def _halve(self, keys: Codes, nodes: Nodes) -> bool:
+        """Halve each triangle at one of these nodes that is on an edge of it; returns whether there is any.
+
+        keys : of the edges, ascending
+        """
+        is_end = np.zeros(len(self.runs), bool)
+        is_end[np.concatenate(ends_of(keys))] = True
+        one, other, third = is_end[self.corners].T
+        near = np.flatnonzero(one & other | other & third | third & one)
+        corners = self.corners[near]
+        edges = keys_of(corners, np.roll(corners, -1, axis=1))
+        at = np.minimum(np.searchsorted(keys, edges), keys.size - 1)
+        is_cut = keys[at] == edges
+        cut = np.flatnonzero(is_cut.any(axis=1))
+        turns = np.argmax(is_cut[cut], axis=1)
+        first, second, last = np.take_along_axis(corners[cut], (turns[:, None] + [0, 1, 2]) % 3, 1).T
+        middle = nodes[at[cut, turns]]
+        self.corners[near[cut]], self.is_new[near[cut]] = np.stack([first, middle, last], 1), True
+        self.corners = np.concatenate([self.corners, np.stack([middle, second, last], 1)])
+        self.is_new = np.append(self.is_new, np.ones(cut.size, bool))
+        return bool(cut.size)
 
 
 class Lines:
@@ -172,7 +140,7 @@ class Lines:
 
     def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int = 1) -> None:
         self.triangles, self._run_points = triangles, run
-        self._most_runs, self._spent, self._rounds = most_runs(triangles.count, cost), 0, 0
+        self._most_runs, self._spent, self._rounds = most_runs(triangles.nodes.size, cost), 0, 0
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self.met, self.met_labels = np.zeros((0, 2)), np.zeros((0, 3), np.int64)
         self.unresolved = np.zeros((0, 2))
@@ -222,8 +190,7 @@ class Lines:
 
     def _find_hidden(self, axis: int) -> None:
         """Add nodes of other labels that are hidden between two nodes of the map of the same label, along an axis."""
-        shape, positions = self.triangles.shape, self.triangles.positions
-        nodes = np.moveaxis(np.arange(math.prod(shape)).reshape(shape), axis, 1)
+        nodes, positions = np.moveaxis(self.triangles.nodes, axis, 1), self.triangles.positions
 
         def place(lines: Codes, values: Floats) -> Floats:
             places: Floats = positions[nodes[lines, 0]]
@@ -252,14 +219,14 @@ class Lines:
         lines, ends, runs = self._crossings(keys)
         edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
         single, several = counts == 1, counts > 1
-        self._keep(keys[edges[single]], ends[begins[single]])
-        left, middle = keys[edges[several]], (begins + counts // 2 - 1)[several]
-        begin, rest = ends_of(left)
-        nodes = self.triangles.count + np.arange(left.size)
-        self.triangles.add(left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle])
-        is_first, is_last = counts[several] < 4, counts[several] == 2
-        self._keep(keys_of(begin, nodes)[is_first], ends[middle[is_first]])
-        self._keep(keys_of(rest, nodes)[is_last], ends[middle[is_last] + 1, ::-1])
+        every, brackets = (
+            np.append(self.keys, keys[edges[single]]),
+            np.concatenate([self.brackets, ends[begins[single]]]),
+        )
+        order = np.argsort(every)
+        self.keys, self.brackets = every[order], brackets[order]
+        middle = (begins + counts // 2 - 1)[several]
+        self.triangles.add(keys[edges[several]], 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle])
         return bool(several.any())
 
     def _crossings(self, keys: Codes) -> tuple[Codes, Floats, Points]:
@@ -291,12 +258,6 @@ class Lines:
         ends = np.stack([low["value"], high["value"]], axis=1)
         return low["cell"], place(low["cell"][:, None], ends), high
 
-    def _keep(self, keys: Codes, brackets: Floats) -> None:
-        """Keep crossings: keys of the edges (n,), and brackets (n, 2, 2) from the first node on."""
-        every = np.concatenate([self.keys, keys])
-        order = np.argsort(every)
-        self.keys, self.brackets = every[order], np.concatenate([self.brackets, brackets])[order]
-
     def _refine(self) -> bool:
         """Add nodes on edges of new triangles whose lines are not told well enough; returns whether there are any."""
         two, three = self.triangles.mixed(only_new=True)
@@ -316,7 +277,7 @@ class Lines:
         to_far_end = away[np.arange(len(longest)), np.argmax(_length(away), axis=1)]
         places = np.concatenate([positions[two[:, 1:]].mean(axis=1), crossing + _BESIDE * to_far_end])
         keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], longest]).T), return_index=True)
-        self._cut(keys, places[at], self._run(places[at]))
+        self.triangles.add(keys, places[at], self._run(places[at]))
         return True
 
     def _is_off_chord(self, corners: Nodes) -> Bools:
@@ -343,21 +304,6 @@ class Lines:
         labels = self._run(places.reshape(-1, 2))["outcome"].reshape(-1, 2)
         is_off[asked] = (labels != self.triangles.outcome[corners[asked, :2]]).any(axis=1)
         return is_off
-
-    def _cut(self, keys: Codes, places: Floats, runs: Points) -> None:
-        """Add a node on each of these edges; a known crossing is then on the part whose ends differ."""
-        nodes, (first, second) = self.triangles.count + np.arange(keys.size), ends_of(keys)
-        self.triangles.add(keys, places, runs)
-        known = np.flatnonzero(np.isin(keys, self.keys))
-        brackets = self.brackets[np.searchsorted(self.keys, keys[known])]
-        nodes, first, second, labels = nodes[known], first[known], second[known], runs["outcome"][known]
-        begin, outcome = self.triangles.positions[first], self.triangles.outcome
-        distances = _length(brackets - begin[:, None])
-        distance = _length(places[known] - begin)
-        is_before = (labels == outcome[second]) & (distances[:, 1] <= distance)
-        is_behind = (labels == outcome[first]) & (distance <= distances[:, 0])
-        self._keep(keys_of(first, nodes)[is_before], brackets[is_before])
-        self._keep(keys_of(second, nodes)[is_behind], brackets[is_behind, ::-1])
 
     def _wide(self) -> Nodes:
         """Triangles with an edge whose crossing is not located, (n, 3)."""
