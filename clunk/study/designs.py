@@ -20,9 +20,9 @@ from clunk.study.document import dotted
 from clunk.study.errors import ConfigError, Problem, report
 from clunk.study.keys import validated, with_tuples
 from clunk.study.models import NOT_OF_A_RUN
-from clunk.study.parameters import located, nominal_value, quantity
+from clunk.study.parameters import drawn_numbers, located, quantity, unswept_value
 from clunk.study.study import Study
-from clunk.study.sweeps import Axis, Draw
+from clunk.study.sweeps import Axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def design_of(study: Study) -> Design:
     if not sweep.samples:
         return Design(axes)
     drawn = zip(sweep.samples, drawn_numbers(study, sweep.samples), strict=True)
-    sample = along_run((d.parameter, d.applied(numbers, _unswept_value(study, d.parameter))) for d, numbers in drawn)
+    sample = along_run((d.parameter, d.applied(numbers, unswept_value(study, d.parameter))) for d, numbers in drawn)
     return Design((*axes, *sample.axes), sample.coordinates)
 
 
@@ -153,20 +153,6 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
         for axis in study.sweep.axes
     )
     return study.model_copy(update={"sweep": study.sweep.model_copy(update={"axes": axes})})
-
-
-def drawn_numbers(study: Study, draws: Sequence[Draw]) -> list[Floats]:
-    """Numbers that the study's sampling draws for each of these, (count,) each: values, factors or offsets."""
-    assert study.sweep is not None
-    points = study.sweep.sampling.points(len(draws))
-    return [draw.sample(points[:, k], _unswept_value(study, draw.parameter)) for k, draw in enumerate(draws)]
-
-
-def _unswept_value(study: Study, parameter: str) -> float:
-    """The nominal value of a parameter; NaN for one that has none, or is swept: nothing is drawn around it then."""
-    assert study.sweep is not None
-    is_swept = any(axis.parameter == parameter for axis in study.sweep.axes)
-    return math.nan if is_swept else nominal_value(study, parameter)
 
 
 def unused_parameters(study: Study) -> list[str]:

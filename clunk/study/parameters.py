@@ -10,10 +10,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clunk.study.document import Place, dotted, items_of, parse_place, value_at
+from clunk.study.arrays import Floats
+from clunk.study.document import Place, dotted, items_of, parse_place, value_at, with_value
 from clunk.study.errors import ConfigError, Problem, nearest, shorten
 from clunk.study.keys import ITEM, Key, key_at, keys
-from clunk.study.models import Config, lash_name
+from clunk.study.models import NOT_OF_A_RUN, Config, lash_name
+from clunk.study.sweeps import Draw
 from clunk.study.tables import OTHER_UNITS, Quantity
 
 _NAMED_ITEMS = 100  # of a list, among which a misspelt parameter is looked for
@@ -122,10 +124,36 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     return place, key, math.nan if value is None else float(value)
 
 
-def plain_number(key: Key, value: Any) -> Any:
-    """A value of a key as a config has it: a whole number of a key of whole ones, and no scalar of numpy."""
-    plain = value.item() if hasattr(value, "item") else value
-    return int(plain) if key.whole and isinstance(plain, float) and plain.is_integer() else plain
+def with_values(config: Config, values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[Place, str]]:
+    """Tables of a config's run with other values of some parameters, and the parameters by their places.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such parameter.
+    """
+    document, parameter_at = config.model_dump(exclude=NOT_OF_A_RUN), {}
+    for parameter, value in values.items():
+        place, key, _ = located(config, parameter)
+        plain = value.item() if hasattr(value, "item") else value  # no scalar of numpy
+        is_whole = key.whole and isinstance(plain, float) and plain.is_integer()
+        document = with_value(document, place, int(plain) if is_whole else plain)
+        parameter_at[place] = parameter
+    return document, parameter_at
+
+
+def drawn_numbers(config: Config, draws: Sequence[Draw]) -> list[Floats]:
+    """Numbers that the sweep's sampling draws for each of these, (count,) each: values, factors or offsets."""
+    if config.sweep is None or not draws:
+        return []
+    points = config.sweep.sampling.points(len(draws)).T
+    return [draw.sample(each, unswept_value(config, draw.parameter)) for draw, each in zip(draws, points, strict=True)]
+
+
+def unswept_value(config: Config, parameter: str) -> float:
+    """The nominal value of a parameter; NaN for one that has none, or is swept: nothing is drawn around it then."""
+    axes = config.sweep.axes if config.sweep is not None else ()
+    return math.nan if any(axis.parameter == parameter for axis in axes) else nominal_value(config, parameter)
 
 
 def nominal_value(config: Config, parameter: str) -> float:

@@ -5,20 +5,20 @@ draws, fit and optimisation give to keys, one key and two keys at a time.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from itertools import chain, combinations, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from clunk.study.arrays import Floats
 from clunk.study.axes import variable_of
-from clunk.study.document import Place, dotted, with_value
+from clunk.study.document import Place, dotted
 from clunk.study.errors import listing, shorten
 from clunk.study.keys import validated
 from clunk.study.loads import PROFILES, TORQUES, Load, uses
 from clunk.study.models import NOT_OF_A_RUN, OF_IMPACTS, Config, FreeParameter, Part, part_of
-from clunk.study.parameters import complaint, located, plain_number
+from clunk.study.parameters import complaint, drawn_numbers, located, with_values
 from clunk.study.sweeps import Draw
 from clunk.study.tables import Finding, misnamed
 
@@ -139,15 +139,18 @@ def _sizes(config: Config) -> Iterator[Finding]:
     masses: list[Size] = [(mass, ("driveline", "inertias", k)) for k, mass in enumerate(config.driveline.inertias)]
     springs: list[Size] = []
     dampers: list[Size] = []
-    for k, shaft in enumerate(config.driveline.shafts):
-        at: Place = ("driveline", "shafts", k)
-        for lever in (1.0, shaft.ratio**2):
-            springs += [(lever * stiffness, (*at, "stiffness")) for stiffness in shaft.stages]
-            dampers.append((lever * shaft.damping, (*at, "damping")))
+    joints: list[tuple[Place, float, float, tuple[float, ...], float]]  # stiffnesses and damping at a lever
+    joints = [
+        (("driveline", "shafts", k), 1.0, shaft.ratio, shaft.stages, shaft.damping)
+        for k, shaft in enumerate(config.driveline.shafts)
+    ]
     for at, lash in zip(config.lash_places, config.lashes, strict=True):
-        for lever in (lash.radius**2, (lash.radius * lash.ratio) ** 2):
-            springs.append((lever * (lash.contact.stiffness or 0.0), (*at, "contact", "stiffness")))
-            dampers.append((lever * (lash.contact.damping or 0.0), (*at, "contact", "damping")))
+        stiffness, damping = lash.contact.stiffness or 0.0, lash.contact.damping or 0.0
+        joints.append(((*at, "contact"), lash.radius, lash.ratio, (stiffness,), damping))
+    for at, radius, ratio, stiffnesses, damping in joints:
+        for lever in (radius**2, (radius * ratio) ** 2):
+            springs += [(lever * stiffness, (*at, "stiffness")) for stiffness in stiffnesses]
+            dampers.append((lever * damping, (*at, "damping")))
     for sizes, unit in ((masses, "kg m2"), ([spring for spring in springs if spring[0] > 0.0], "N m/rad")):
         (smallest, at_smallest), (largest, at_largest) = min(sizes, default=(1.0, ())), max(sizes, default=(1.0, ()))
         if largest > WIDEST_SPREAD * smallest:
@@ -248,34 +251,20 @@ def _undrawable(
 # --- Values of swept, drawn, fitted and free keys --------------------------------------------------------------------
 
 
-def _nowhere(position: int) -> Place:
-    """The place of a value that has none of its own, below that of what gives it."""
-    return ()
+class Given(NamedTuple):
+    """A value that something in a config gives to a key.
 
-
-class Reach(NamedTuple):
-    """The values that something in a config gives to a key.
-
-    at : place in the config of what gives them
-    parameter : dotted key
-    values : (n,) float64  [unit of the key]
-    below : place of the value at a position, below `at`
-    words : of a value, for people
+    value : [unit of the key]
+    at : place in the config of what gives it
+    words : of key and value, for people
     """
 
+    value: float
     at: Place
-    parameter: str
-    values: Floats
-    below: Callable[[int], Place] = _nowhere
-    words: str = "{parameter}"
-
-    def case(self, position: int) -> tuple[float, Place, str]:
-        """A value, the place that it has in the config, and words for it."""
-        value = float(self.values[position])
-        return value, (*self.at, *self.below(position)), self.words.format(parameter=self.parameter, value=value)
+    words: str
 
 
-Case = Mapping[str, tuple[float, Place, str]]  # by parameter; see `Reach.case`
+Case = dict[str, Given]  # by parameter
 
 
 def _reached(config: Config) -> Iterator[Finding]:
@@ -283,82 +272,86 @@ def _reached(config: Config) -> Iterator[Finding]:
 
     Of swept and drawn keys every two have theirs together, too.
     """
-    document = config.model_dump(exclude=NOT_OF_A_RUN)
-    together = [_cases(group, config) for group in _of_sweep(config)]
-    alone = [_cases([reach], config) for reach in _of_searches(config)]
+    together = [*_cases_of_sweep(config)]
     pairs = (one | other for first, second in combinations(together, 2) for one, other in product(first, second))
     refused: set[Place] = set()
-    for case in chain(*together, *alone, pairs):
-        places = {place[:3] for _, place, _ in case.values()}
-        if refused.isdisjoint(places) and (finding := _broken_at(case, config, document)) is not None:
+    for case in chain(*together, _cases_of_searches(config), pairs):
+        places = {given.at[:3] for given in case.values()}
+        if refused.isdisjoint(places) and (finding := _broken_at(case, config)) is not None:
             refused.add(finding[0][:3])
             yield finding
 
 
-def _broken_at(case: Case, config: Config, document: Mapping[str, Any]) -> Finding | None:
+def _broken_at(case: Case, config: Config) -> Finding | None:
     """The first rule that a run breaks in which some keys have other values."""
-    place_of = {}
-    for parameter, (value, at, _) in case.items():
-        place, key, _ = located(config, parameter)
-        place_of[place] = at
-        document = with_value(document, place, plain_number(key, value))
+    document, parameter_at = with_values(config, {parameter: given.value for parameter, given in case.items()})
     run, findings = validated(Config, document)
     broken, text = next(iter(findings if run is None else _of_a_run(run)), (None, ""))
     if broken is None:
         return None
-    words = dict.fromkeys(words for _, _, words in case.values())
-    return place_of.get(broken, [*place_of.values()][-1]), f"{' and '.join(words)}: {text}"
+    words = dict.fromkeys(given.words for given in case.values())
+    culprit = case[parameter_at.get(broken, [*case][-1])]
+    return culprit.at, f"{' and '.join(words)}: {text}"
 
 
-def _cases(group: Sequence[Reach], config: Config) -> list[dict[str, tuple[float, Place, str]]]:
-    """The extremes of keys whose values go together.
+def _extremes(config: Config, columns: Mapping[str, Floats]) -> list[int]:
+    """Positions of the extremes of keys whose values, (n,) by parameter, go together.
 
     These are the least and the greatest value of each, that nearest to zero, and of a whole number one that is none;
     and of each two keys the extremes of their difference, as two times may not change places.
     """
-    values = [reach.values for reach in group]
-    extremes = [*values, *(one - other for one, other in combinations(values, 2))]
+    extremes = [*columns.values(), *(one - other for one, other in combinations(columns.values(), 2))]
     positions = [int(at) for each in extremes for at in (each.argmin(), each.argmax(), np.abs(each).argmin())]
-    positions += [int((reach.values % 1.0).argmax()) for reach in group if located(config, reach.parameter)[1].whole]
-    return [{reach.parameter: reach.case(at) for reach in group} for at in dict.fromkeys(positions)]
+    wholes = [values for parameter, values in columns.items() if located(config, parameter)[1].whole]
+    return list(dict.fromkeys([*positions, *(int((values % 1.0).argmax()) for values in wholes)]))
 
 
-def _of_sweep(config: Config) -> Iterator[list[Reach]]:
-    """Swept and drawn keys, of axes that are walked together all at once; the sample is known beforehand."""
+def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
+    """Extreme cases of each axis and drawn key, of axes that are walked together all at once.
+
+    The sample is known beforehand.
+    """
     sweep = config.sweep
     if sweep is None:
         return
-    axes = [Reach(("sweep", "axes", k), axis.parameter, axis.grid, axis.place_of) for k, axis in enumerate(sweep.axes)]
-    yield from [axes] if sweep.design == "zip" else ([each] for each in axes)
+    columns = {axis.parameter: axis.grid for axis in sweep.axes}
+    axes = [*enumerate(sweep.axes)]
+    for group in [axes] if sweep.design == "zip" else ([each] for each in axes):
+        positions = _extremes(config, {axis.parameter: axis.grid for _, axis in group})
+        yield [
+            {
+                axis.parameter: Given(float(axis.grid[at]), ("sweep", "axes", k, *axis.place_of(at)), axis.parameter)
+                for k, axis in group
+            }
+            for at in positions
+        ]
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
-    points = sweep.sampling.points(len(draws)) if draws else np.empty((0, 0))
-    before = {axis.parameter: axis.values for axis in axes}
-    drawn: dict[str, Reach] = {}
-    for k, draw in enumerate(draws):
-        around = before.get(draw.parameter, np.array([located(config, draw.parameter)[2]]))
-        numbers = draw.sample(points[:, k], float(around[0]))  # around a swept value it does not use this
-        values = draw.applied(numbers[:, None], np.array([around.min(), around.max()])).ravel()
-        words = "a draw makes {parameter} {value:.6g} (low and high bound it)"
-        before[draw.parameter] = values
-        drawn[draw.parameter] = Reach(("sweep", table, k), draw.parameter, values, words=words)
-    yield from ([each] for each in drawn.values())
+    drawn: dict[str, list[Case]] = {}
+    for k, (draw, numbers) in enumerate(zip(draws, drawn_numbers(config, draws), strict=True)):
+        key = draw.parameter
+        around = columns.get(key, np.array([located(config, key)[2]]))
+        columns[key] = draw.applied(numbers[:, None], np.array([around.min(), around.max()])).ravel()
+        values = columns[key][_extremes(config, {key: columns[key]})].tolist()
+        words = f"a draw makes {key} {{:.6g}} (low and high bound it)"
+        drawn[key] = [{key: Given(value, ("sweep", table, k), words.format(value))} for value in values]
+    yield from drawn.values()
 
 
-def _of_searches(config: Config) -> Iterator[Reach]:
+def _cases_of_searches(config: Config) -> Iterator[Case]:
     """The ends of what a fit and an optimisation allow.
 
     A measured key's factor or offset acts on measured values, which are not known here.
     """
     for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
         nominal = located(config, prior.parameter)[2]
-        if not math.isnan(nominal):
-            values = prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal)
-            words = "it allows {parameter} = {value:.6g}"
-            yield Reach(("fit", "parameters", k), prior.parameter, values, words=words)
-    ends: tuple[Place, Place] = (("low",), ("high",))
+        ends = prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal) if not math.isnan(nominal) else np.empty(0)
+        for value in ends.tolist():
+            yield {
+                prior.parameter: Given(value, ("fit", "parameters", k), f"it allows {prior.parameter} = {value:.6g}")
+            }
     for k, free in enumerate(config.optimize.parameters if config.optimize is not None else ()):
-        for key in free.keys:
-            yield Reach(("optimize", "parameters", k), key, np.array([free.low, free.high]), ends.__getitem__)
+        for key, end in product(free.keys, ("low", "high")):
+            yield {key: Given(getattr(free, end), ("optimize", "parameters", k, end), key)}
 
 
 # --- Numbers that cannot be meant ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from clunk.study.document import dotted, items_of, with_value
 from clunk.study.errors import Problem, report
 from clunk.study.keys import validated
 from clunk.study.models import NOT_OF_A_RUN, Config
-from clunk.study.parameters import located, plain_number
+from clunk.study.parameters import located, with_values
 from clunk.study.records import as_text
 from clunk.study.rules import broken_rules
 from clunk.study.tables import Finding
@@ -29,7 +29,7 @@ class Study(Config):
         yield from broken_rules(self)
 
     def __repr__(self) -> str:
-        load, solver, sweep, _ends = self.load, self.solver, self.sweep, [lash.between for lash in self.lashes]
+        load, solver, sweep = self.load, self.solver, self.sweep
         rows = [
             ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
             *(
@@ -65,10 +65,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     >>> [clunk.simulate(clunk.replace_values(study, {"load.ratio": ratio})).label for ratio in (1.0, 2.0, 5.0)]
     ['NI', 'SS(1)', 'DS(1)SS(1)']
     """
-    document = study.model_dump(exclude=NOT_OF_A_RUN)
-    for parameter, value in values.items():
-        place, key, _ = located(study, parameter)
-        document = with_value(document, place, plain_number(key, value))
+    document, _ = with_values(study, values)
     replaced, findings = validated(Study, document)
     if replaced is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
