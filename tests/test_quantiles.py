@@ -16,9 +16,9 @@ from clunk.plot.style import PlotError
 from clunk.results.quantities import quantity_of
 from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text
-from clunk.study.designs import drawn_numbers, nominal
+from clunk.study.designs import nominal
 from clunk.study.errors import ClunkError
-from clunk.study.parameters import get_value
+from clunk.study.parameters import drawn_numbers, get_value
 
 RAMPED = NOMINAL.replace("ratio = 5.0", 'profile = "ramp"\nratio = 5.0')
 FEW = axis("load.ratio", 4.0, 8.0, 3)

@@ -20,9 +20,9 @@ from clunk.results.quantities import quantity_of
 from clunk.results.store import read_results
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
-from clunk.study.designs import drawn_numbers, nominal
+from clunk.study.designs import nominal
 from clunk.study.errors import ClunkError
-from clunk.study.parameters import get_value
+from clunk.study.parameters import drawn_numbers, get_value
 from clunk.study.study import replace_values, to_toml
 from clunk.sweeping import parts as keeping, tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory

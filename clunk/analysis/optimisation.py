@@ -20,10 +20,10 @@ from clunk.core.runs import BEGIN
 from clunk.results.quantities import YES_NO, measuring, quantity_of
 from clunk.simulation.load import loads_of
 from clunk.study.arrays import Bools, Floats
-from clunk.study.designs import design_of, drawn_numbers, has_tolerances, nominal
+from clunk.study.designs import design_of, has_tolerances, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.models import Optimize
-from clunk.study.parameters import nominal_value
+from clunk.study.parameters import drawn_numbers, nominal_value
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.progress import Progress, reporting

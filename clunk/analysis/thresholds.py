@@ -44,10 +44,10 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import design_of, drawn_numbers
+from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
-from clunk.study.parameters import located, nominal_value
+from clunk.study.parameters import drawn_numbers, located, nominal_value
 from clunk.study.records import as_text
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting

@@ -19,8 +19,8 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import QUANTILES, ToleranceMap, most_likely
 from clunk.study.arrays import Cells, Codes, Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import along_run, design_of, drawn_numbers
-from clunk.study.parameters import nominal_value, quantity
+from clunk.study.designs import along_run, design_of
+from clunk.study.parameters import drawn_numbers, nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.cells import Flag, Grid, Layout, Tile, most_of_load
 from clunk.sweeping.reduction import Labels, Reduction, in_order
