@@ -6,7 +6,6 @@ curve gets its event (`events_between`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -42,7 +41,7 @@ from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
 RUNS_OF_BOUNDARIES = "runs along the boundaries"  # of which progress tells
-_AT_ONCE = 2**20  # events of runs that are kept at a time, 50 MB
+_AT_ONCE = 16  # pairs of runs whose events are kept at a time: 150 MB if all had as many as there can be
 _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
@@ -128,16 +127,15 @@ def boundaries(
     """
     require_boundaries(study)
     position, part = lash_position(lash, results.lash_names), results.of_lash(lash)
-    scales = [_Scale(axis) for axis in part.axes]
-    ascending = np.ix_(*(scale.order for scale in scales))
+    ascending = np.ix_(*(np.argsort(axis.values) for axis in part.axes))
 
     def values_at(places: Floats) -> Floats:
-        return np.column_stack([scale.values(places[:, k]) for k, scale in enumerate(scales)])
+        return np.column_stack([_values(axis, column) for axis, column in zip(part.axes, places.T, strict=True)])
 
     with engine_of(None, workers) as engine:
         keys = [axis.parameter for axis in part.axes]
         point_runs = PointRuns(study, keys, OF_RUNS[LABEL], position, engine, words=part.labels, progress=progress)
-        across, upward = (scale.shares(axis.values[scale.order]) for scale, axis in zip(scales, part.axes, strict=True))
+        across, upward = map(_shares, part.axes)
         nodes = np.zeros(part.sequence.shape, POINT)
         nodes["outcome"], nodes["measure"] = part.sequence[ascending], part.margin[ascending]
         nodes["touches"] = part.touches[ascending]
@@ -188,25 +186,18 @@ def with_boundaries(
     return replace(results, boundaries=boundaries(study, results, lash=lash, **options))
 
 
-class _Scale:
-    """An axis from 0 to 1, in its logarithm where it is geometric."""
+def _shares(axis: ResultAxis) -> Floats:
+    """Ascending places of an axis's values from 0 to 1, in their logarithm where they are geometric."""
+    values = np.sort(axis.values)
+    places = np.log(values) if axis.is_geometric else values
+    return np.asarray((places - places[0]) / np.ptp(places))
 
-    def __init__(self, axis: ResultAxis) -> None:
-        self.to: Callable[..., Any] = np.log if axis.is_geometric else np.asarray
-        self.back: Callable[..., Any] = np.exp if axis.is_geometric else np.asarray
-        self.lowest, self.highest = axis.values.min(), axis.values.max()
-        self.begin = self.to(self.lowest)
-        self.span = self.to(self.highest) - self.begin
-        self.order = np.argsort(axis.values)
 
-    def shares(self, values: Floats) -> Floats:
-        shares: Floats = (self.to(values) - self.begin) / self.span
-        return np.clip(shares, 0.0, 1.0)
-
-    def values(self, shares: Floats) -> Floats:
-        inner = np.clip(self.back(self.begin + shares * self.span), self.lowest, self.highest)
-        values: Floats = np.where(shares == 0.0, self.lowest, np.where(shares == 1.0, self.highest, inner))
-        return values
+def _values(axis: ResultAxis, shares: Floats) -> Floats:
+    """Values of an axis at places from 0 to 1; those of the ends are the axis's own, to the bit."""
+    low, high = axis.values.min(), axis.values.max()
+    inner = low * (high / low) ** shares if axis.is_geometric else low + shares * (high - low)
+    return np.where(shares == 1.0, high, np.clip(inner, low, high))
 
 
 def _one_of_each_cell(places: Floats, across: Floats, upward: Floats) -> Floats:
@@ -232,12 +223,8 @@ def events_between(runner: Runner, lash: int, one: Floats, other: Floats) -> Cod
     one, other : the points, (n, keys of the runner)
     """
     events = [np.zeros(0, np.int64)]
-    # a run has some events for each touch; how many touches there are is told by running one of each pair before
-    touches = runner.run(one).touches.reshape(len(one), -1).sum(axis=1) if len(one) else np.zeros(0)
-    pairs_at_once = max(_AT_ONCE // (4 * int(touches.max(initial=0)) + 512), 1)
-    for begin in range(0, len(one), pairs_at_once):
-        points = np.stack([part[begin : begin + pairs_at_once] for part in (one, other)], axis=1)
-        points = points.reshape(-1, one.shape[1])
+    for begin in range(0, len(one), _AT_ONCE):
+        points = np.stack([part[begin : begin + _AT_ONCE] for part in (one, other)], axis=1).reshape(-1, one.shape[1])
         records, logs = runner.grid.logged(dict(zip(runner.keys, points.T, strict=True)), len(points))
         pairs = records[:, lash].reshape(-1, 2), logs.reshape(len(points) // 2, 2, -1)
         events.append(_differences(*pairs, runner.study.solver.end_time, lash))
