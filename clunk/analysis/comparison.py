@@ -88,109 +88,45 @@ class Comparison(Record):
     maps : A and B
     labels : of both, A's first
     codes_a, codes_b : shape, int: the label in `labels`, or -1 where the cell failed
+    differs : shape, bool: cells that have two labels
     flagged : shape, bool: undecided or grazing in A or in B
-    largest_differences : for each quantity that is defined somewhere
     identical : whether every array of the two is the same, bit for bit
     configs_equal : whether the two digests are, that is everything that decides the results
+    largest_differences : for each quantity that is defined somewhere
     config_differences : keys of the configs that differ, a title among them; None where one has no such key
     provenance_differences : versions and machines that differ, by name
+    verdict : whether the labels are the same, in a sentence
+    titles : of A and of B
+    cells : number of cells that have a label in both maps; only these are compared
+    differing, differing_elsewhere : number of these whose labels differ, and of those in which no run is flagged
+    share : of the compared cells, those whose labels differ; NaN where no cell could be compared
+    touches_equal : number of compared cells with as many touches in A as in B
+    failed : number of cells without a label in A only, in B only, and in both
+    same_regimes : whether the two agree in every cell: the same label, or failed in both; never if nothing was compared
+    transitions : pairs of labels in the cells that have two, the most frequent first
     """
 
     maps: tuple[Results, Results]
     labels: tuple[str, ...]
     codes_a: Positions
     codes_b: Positions
+    differs: Bools
     flagged: Bools
     identical: bool = told("identical bit for bit")
     configs_equal: bool = told("digests of the configs are the same")
     largest_differences: tuple[Difference, ...] = told("largest differences in cells with equal labels")
     config_differences: dict[str, dict[str, Any]] = told("configs")
     provenance_differences: dict[str, dict[str, Any]] = told("computed with or on other")
-
-    @property
-    @tells(SENTENCE)
-    def verdict(self) -> str:
-        """Whether the labels are the same, in a sentence."""
-        if not self.cells:
-            return "No cell has a label in both maps."
-        if not self.differing:
-            return f"The labels are the same in {counted(self.cells, 'cell')}."
-        cells = f"{self.differing:,} of {self.cells:,} cells"
-        differ = f"The labels of {cells} differ ({percent(self.differing, self.cells)})"
-        return f"{differ}, of {self.differing_elsewhere:,} of them where no run is flagged as undecided or grazing."
-
-    @property
-    @tells()
-    def titles(self) -> dict[str, str]:
-        """Titles of A and of B."""
-        return dict(zip("ab", (each.title for each in self.maps), strict=True))
-
-    @property
-    def compared(self) -> Bools:
-        """Cells that have a label in both maps, shape; only these are compared."""
-        return np.asarray((self.codes_a != FAILED_CODE) & (self.codes_b != FAILED_CODE))
-
-    @property
-    def differs(self) -> Bools:
-        """Cells that have two labels, shape."""
-        return np.asarray(self.compared & (self.codes_a != self.codes_b))
-
-    @property
-    @tells("cells", key="cells_compared")
-    def cells(self) -> int:
-        """Number of cells that are compared."""
-        return int(np.count_nonzero(self.compared))
-
-    @property
-    @tells("labels differ in", key="cells_differing")
-    def differing(self) -> int:
-        """Number of compared cells whose labels differ."""
-        return int(np.count_nonzero(self.differs))
-
-    @property
-    @tells("and no run is flagged in")
-    def differing_elsewhere(self) -> int:
-        """Number of compared cells whose labels differ and neither run is undecided or grazing."""
-        return int(np.count_nonzero(self.differs & ~self.flagged))
-
-    @property
-    @tells("share of all cells", form=".2%", key="share_differing")
-    def share(self) -> float:
-        """Share of the compared cells whose labels differ; NaN where no cell could be compared."""
-        return self.differing / self.cells if self.cells else math.nan
-
-    @property
-    @tells("touches as many in")
-    def touches_equal(self) -> int:
-        """Number of compared cells with as many touches in A as in B."""
-        a, b = (each.arrays["touches"] for each in self.maps)
-        return int(np.count_nonzero(self.compared & (a == b)))
-
-    @property
-    @tells("failed, not compared")
-    def failed(self) -> dict[str, int]:
-        """Number of cells without a label in A only, in B only, and in both."""
-        a, b = self.codes_a == FAILED_CODE, self.codes_b == FAILED_CODE
-        counts = {"a_only": a & ~b, "b_only": b & ~a, "both": a & b}
-        return {name: int(np.count_nonzero(cells)) for name, cells in counts.items()}
-
-    @property
-    @tells()
-    def same_regimes(self) -> bool:
-        """Whether the two agree in every cell: the same label, or failed in both; never if nothing was compared."""
-        return self.cells > 0 and not (self.differing or self.failed["a_only"] or self.failed["b_only"])
-
-    @property
-    @tells("labels that differ")
-    def transitions(self) -> tuple[Transition, ...]:
-        """Pairs of labels in the cells that have two, the most frequent first."""
-        codes = np.stack([self.codes_a[self.differs], self.codes_b[self.differs]])
-        pairs, counts = np.unique(codes, axis=1, return_counts=True)
-        transitions = [
-            Transition(self.labels[i], self.labels[j], count)
-            for (i, j), count in zip(pairs.T.tolist(), counts.tolist(), strict=True)
-        ]
-        return tuple(sorted(transitions, key=lambda each: -each.cells))  # a stable sort: ties in the labels' order
+    verdict: str = told(SENTENCE)
+    titles: dict[str, str] = told()
+    cells: int = told("cells", key="cells_compared")
+    differing: int = told("labels differ in", key="cells_differing")
+    differing_elsewhere: int = told("and no run is flagged in")
+    share: float = told("share of all cells", form=".2%", key="share_differing")
+    touches_equal: int = told("touches as many in")
+    failed: dict[str, int] = told("failed, not compared")
+    same_regimes: bool = told()
+    transitions: tuple[Transition, ...] = told("labels that differ")
 
     @property
     @tells("cells with two labels")
@@ -225,20 +161,58 @@ def compare(a: Results, b: Results) -> Comparison:
     # of each map's codes those among all labels; the code of a failed cell, -1, takes the last entry
     among = (np.array([*map(labels.index, each.labels), FAILED_CODE], np.intp) for each in (a, b))
     codes_a, codes_b = (codes[each.sequence] for codes, each in zip(among, (a, b), strict=True))
-    equal = (codes_a == codes_b) & (codes_a != FAILED_CODE)
+    failed_a, failed_b = codes_a == FAILED_CODE, codes_b == FAILED_CODE
+    compared = ~(failed_a | failed_b)
+    differs = compared & (codes_a != codes_b)
+    flagged = ((a.quality | b.quality) & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
+    cells, differing, elsewhere = _count(compared), _count(differs), _count(differs & ~flagged)
+    pairs, counts = np.unique(np.stack([codes_a[differs], codes_b[differs]]), axis=1, return_counts=True)
+    transitions = zip(*pairs.tolist(), counts.tolist(), strict=True)
     identical = _bits(a) == _bits(b)
     return Comparison(
         maps=(a, b),
         labels=labels,
         codes_a=codes_a,
         codes_b=codes_b,
-        flagged=((a.quality | b.quality) & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0,
-        largest_differences=() if identical else tuple(_largest_differences(a, b, equal)),
+        differs=differs,
+        flagged=flagged,
         identical=identical,
         configs_equal=a.config_digest == b.config_digest,
+        largest_differences=() if identical else tuple(_largest_differences(a, b, compared & ~differs)),
         config_differences=_unlike(_flat_config(a, "A"), _flat_config(b, "B")),
         provenance_differences=_unlike({**a.attributes, "created": ""}, {**b.attributes, "created": ""}),
+        verdict=_verdict(cells, differing, elsewhere),
+        titles={"a": a.title, "b": b.title},
+        cells=cells,
+        differing=differing,
+        differing_elsewhere=elsewhere,
+        share=differing / cells if cells else math.nan,
+        touches_equal=_count(compared & (a.touches == b.touches)),
+        failed={
+            "a_only": _count(failed_a & ~failed_b),
+            "b_only": _count(failed_b & ~failed_a),
+            "both": _count(failed_a & failed_b),
+        },
+        same_regimes=cells > 0 and not (differing or _count(failed_a != failed_b)),
+        # a stable sort: those as frequent are in the order of the labels
+        transitions=tuple(
+            sorted((Transition(labels[i], labels[j], k) for i, j, k in transitions), key=lambda each: -each.cells)
+        ),
     )
+
+
+def _count(cells: Bools) -> int:
+    return int(np.count_nonzero(cells))
+
+
+def _verdict(cells: int, differing: int, elsewhere: int) -> str:
+    """Whether the labels are the same, in a sentence."""
+    if not cells:
+        return "No cell has a label in both maps."
+    if not differing:
+        return f"The labels are the same in {counted(cells, 'cell')}."
+    differ = f"The labels of {differing:,} of {cells:,} cells differ ({percent(differing, cells)})"
+    return f"{differ}, of {elsewhere:,} of them where no run is flagged as undecided or grazing."
 
 
 def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Comparison:
