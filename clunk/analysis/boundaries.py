@@ -197,7 +197,7 @@ def _values(axis: ResultAxis, shares: Floats) -> Floats:
     """Values of an axis at places from 0 to 1; those of the ends are the axis's own, to the bit."""
     low, high = axis.values.min(), axis.values.max()
     inner = low * (high / low) ** shares if axis.is_geometric else low + shares * (high - low)
-    return np.where(shares == 1.0, high, np.clip(inner, low, high))
+    return np.asarray(np.where(shares == 1.0, high, np.clip(inner, low, high)))
 
 
 def _one_of_each_cell(places: Floats, across: Floats, upward: Floats) -> Floats:

@@ -234,68 +234,29 @@ class Trend(Record):
 class ExperimentComparison(Record):
     """Comparison of measurements with a map.
 
-    experiment : what was measured
-    axes : the results'
     title : of the results
     points : in the file's order
     trends : one for each axis of more than one value
+    caveat : what keeps the measurements from being a test of the model
+    experiment : name of the file of the measurements
+    counted : number of points with a computed label
+    agreeing : number of points whose labels are the same
+    same_double_sided : number of counted points with the same number of double-sided impacts
+    outside, failed : number of points outside the swept range, and of those whose nearest cell failed
+    same_regimes : whether every point inside the swept range agrees; never if there is none
     """
 
-    experiment: Experiment
-    axes: tuple[ResultAxis, ...]
     title: str = told()
     points: tuple[Point, ...] = told("measured points")
     trends: tuple[Trend, ...] = told("double-sided impacts from a point to the next: pairs where they rise, stay, fall")
-
-    @property
-    @tells(SENTENCE)
-    def caveat(self) -> str:
-        """What keeps the measurements from being a test of the model."""
-        return self.experiment.caveat
-
-    @property
-    @tells(key="experiment")
-    def experiment_name(self) -> str:
-        """Name of the file of the measurements."""
-        return self.experiment.name
-
-    @property
-    @tells("points with a computed label", key="points_counted")
-    def counted(self) -> int:
-        """Number of points with a computed label."""
-        return sum(point.counts for point in self.points)
-
-    @property
-    @tells("labels agree at", key="points_agreeing")
-    def agreeing(self) -> int:
-        """Number of points whose labels are the same."""
-        return sum(point.agrees for point in self.points)
-
-    @property
-    @tells("double-sided impacts agree at", key="points_same_double_sided")
-    def same_double_sided(self) -> int:
-        """Number of counted points with the same number of double-sided impacts."""
-        return sum(
-            point.counts and double_sided(point.measured) == double_sided(str(point.computed)) for point in self.points
-        )
-
-    @property
-    @tells("outside the swept range", key="points_outside")
-    def outside(self) -> int:
-        """Number of points outside the swept range."""
-        return sum(point.computed is None for point in self.points)
-
-    @property
-    @tells("nearest to a failed cell", key="points_failed")
-    def failed(self) -> int:
-        """Number of points whose nearest cell failed."""
-        return sum(point.computed == FAILED for point in self.points)
-
-    @property
-    @tells()
-    def same_regimes(self) -> bool:
-        """Whether every point inside the swept range agrees; never if there is none."""
-        return self.counted > 0 and self.agreeing == self.counted and not self.failed
+    caveat: str = told(SENTENCE)
+    experiment: str = told()
+    counted: int = told("points with a computed label", key="points_counted")
+    agreeing: int = told("labels agree at", key="points_agreeing")
+    same_double_sided: int = told("double-sided impacts agree at", key="points_same_double_sided")
+    outside: int = told("outside the swept range", key="points_outside")
+    failed: int = told("nearest to a failed cell", key="points_failed")
+    same_regimes: bool = told()
 
 
 def compare_experiment(results: Results, experiment: Experiment) -> ExperimentComparison:
@@ -318,7 +279,21 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
             raise ClunkError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
     points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
     trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis.values) > 1)
-    return ExperimentComparison(experiment, results.axes, results.title, points, trends)
+    inside = [point for point in points if point.counts]
+    agreeing, failed = sum(point.agrees for point in inside), sum(point.computed == FAILED for point in points)
+    return ExperimentComparison(
+        title=results.title,
+        points=points,
+        trends=trends,
+        caveat=experiment.caveat,
+        experiment=experiment.name,
+        counted=len(inside),
+        agreeing=agreeing,
+        same_double_sided=sum(double_sided(each.measured) == double_sided(str(each.computed)) for each in inside),
+        outside=sum(point.computed is None for point in points),
+        failed=failed,
+        same_regimes=0 < len(inside) == agreeing and not failed,
+    )
 
 
 def _point(results: Results, columns: tuple[str, ...], measurement: Measurement) -> Point:

@@ -104,7 +104,7 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
         for point in comparison.points
         if point.computed is not None
     )
-    facts = (*layers.facts, f"points: measured, {comparison.experiment.name}", comparison.experiment.caveat)
+    facts = (*layers.facts, f"points: measured, {comparison.experiment}", comparison.caveat)
     outside = (Note(f"outside the map, not counted: {comparison.outside}", ""),) if comparison.outside else ()
     return map_figure([replace(layers, points=points, facts=facts, notes=outside)])
 
