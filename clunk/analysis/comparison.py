@@ -18,7 +18,7 @@ import numpy as np
 
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.labels import FAILED_CODE
-from clunk.results.maps import Results, at_cell, values_at
+from clunk.results.maps import Results
 from clunk.results.quantities import IMPACT_QUANTITIES, REGIME_QUANTITIES
 from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
@@ -134,7 +134,7 @@ class Comparison(Record):
         """The cells whose labels differ, in the grid's order, those without a flag first."""
         a, cells = self.maps[0], []
         for index in map(tuple, np.argwhere(self.differs).tolist()):
-            at = at_cell(a.parameters, values_at(a.axes, index, a.coordinates))
+            at = a.place(index)
             labels = self.labels[self.codes_a[index]], self.labels[self.codes_b[index]]
             cells.append(DifferingCell(index, at, *labels, bool(self.flagged[index])))
         return sorted(cells, key=lambda cell: cell.flagged)
@@ -297,7 +297,7 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
             difference=float(difference[k]),
             unit=REGIME_QUANTITIES[name].unit_symbol,
             over_largest=float(difference[k]) / largest if largest > 0.0 else 0.0,
-            at=at_cell(b.parameters, values_at(b.axes, at, b.coordinates)),
+            at=b.place(at),
         )
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from clunk.results.labels import FAILED, double_sided, flanks_of_label, normalised_label
-from clunk.results.maps import Results, at_cell, values_at
+from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis, variable_of
 from clunk.study.document import read_text
 from clunk.study.errors import ClunkError, shorten
@@ -304,7 +304,7 @@ def _point(results: Results, columns: tuple[str, ...], measurement: Measurement)
     except ValueError:  # beyond an axis
         return Point(values, measurement.label, None, None)
     computed = str((*results.labels, FAILED)[results.sequence[cell]])  # the code of failed cells, -1, is the last
-    return Point(values, measurement.label, computed, at_cell(results.axes, values_at(results.axes, cell)))
+    return Point(values, measurement.label, computed, results.place(cell))
 
 
 def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:

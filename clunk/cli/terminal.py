@@ -108,7 +108,6 @@ def report_failures(results: AnyMap, how: str = "") -> None:
     import numpy as np
 
     from clunk.core.status import Status
-    from clunk.results.maps import at_cell, values_at
 
     results = results.of_lash()  # all lashes of a cell fail together
     for status in Status:
@@ -117,8 +116,7 @@ def report_failures(results: AnyMap, how: str = "") -> None:
             continue
         complain(f"{counted(len(cells), 'cell')} failed{how}: {status.sentence}")
         for cell in cells[:3]:
-            at = at_cell(results.parameters, values_at(results.axes, cell, results.coordinates))
-            click.echo(fill(f"at {words(at)}", "  ", "     "), err=True)
+            click.echo(fill(f"at {words(results.place(cell))}", "  ", "     "), err=True)
         if len(cells) > 3:
             click.echo(f"  and {len(cells) - 3:,} more", err=True)
 

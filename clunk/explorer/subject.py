@@ -12,10 +12,10 @@ import numpy as np
 from clunk.analysis.boundaries import BoundaryError, with_boundaries
 from clunk.plot.plane import parted_axes
 from clunk.results.labels import FAILED
-from clunk.results.maps import AnyMap, ToleranceMap, values_at
+from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
-from clunk.study.axes import LASH, RUN, ResultAxis, parameters_of
+from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, has_tolerances, nominal
 from clunk.study.errors import ClunkError
@@ -51,7 +51,8 @@ class Subject:
         self.title = results.title.strip() or "Impact regimes"
         self._toleranced = study_from_text(results.config, "the results' config")
         self.study = nominal(self._toleranced)
-        self._axes = tuple(axis for axis in results.axes if axis.parameter != LASH)
+        self._first = results.of_lash()  # whose axes are those of all lashes
+        self._axes = self._first.axes
         changing = [axis for axis in self._axes if len(axis.values) > 1]
         grid = [axis for axis in changing if axis.parameter != RUN]  # runs have no order
         self.plane = tuple(parted_axes(grid or changing)[0])
@@ -61,9 +62,8 @@ class Subject:
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""
-        swept = values_at(self._axes, position(self._axes, cell), self.results.coordinates)
-        names = [axis.parameter for axis in parameters_of(self._axes, self.results.coordinates)]
-        return dict(zip(names, swept, strict=True))
+        place = self._first.place(position(self._axes, cell))
+        return {parameter: float(value) for parameter, value in place.items()}
 
     def likelihood(self, cell: Numbers, lash: str) -> str:
         """The probability of each label in a cell of a tolerance map; empty for a regime map."""

@@ -161,6 +161,14 @@ class Map(ABC):
             index[k] = slice(position, position + 1)
         return self._part(tuple(index))
 
+    def place(self, cell: Sequence[int]) -> dict[str, float | str]:
+        """Values of the parameters in a cell, of lashes their names; cell : positions on the axes."""
+        return {
+            each.parameter: each.words[position] if each.words else float(each.values[position])
+            for axis, position in zip(self.axes, cell, strict=True)
+            for each in parameters_of([axis], self.coordinates)
+        }
+
     def at_lash(self, name: str | None = None) -> Self:
         """Slice at one lash, by name or number; by default at the first. The map itself where there is only one.
 
@@ -233,22 +241,6 @@ class Map(ABC):
         labels = [tuple(row.values()) for row in self.label_table()]
         rows = [*self.summary(), *self.facts, *((label, ", ".join(numbers)) for label, *numbers in labels)]
         return as_text(f"clunk.{type(self).__name__} {self.title!r}", rows)
-
-
-def values_at(
-    axes: Sequence[ResultAxis], cell: Sequence[int], coordinates: Sequence[ResultAxis] = ()
-) -> tuple[float, ...]:
-    """Values of the parameters in a cell, in the order of `parameters_of`; of `run` its number without coordinates."""
-    return tuple(
-        float(each.values[k])
-        for axis, k in zip(axes, cell, strict=True)
-        for each in (coordinates if axis.parameter == RUN and coordinates else [axis])
-    )
-
-
-def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float]) -> dict[str, float | str]:
-    """A cell by its parameters, words for numbers that have them."""
-    return {axis.parameter: axis.word(value) or value for axis, value in zip(parameters, values, strict=True)}
 
 
 def share(count: int, cells: int) -> str:

@@ -7,7 +7,7 @@ from clunk.core.regimes import Each, System
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
 from clunk.simulation.driveline import Driveline
 from clunk.study.arrays import Floats
-from clunk.study.models import parts_of
+from clunk.study.models import part_of
 from clunk.study.study import Study
 
 
@@ -50,7 +50,8 @@ def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Ch
             if active.closed[lash]:
                 of_lash[:, CONTACT_TORQUE] = torque_across(line, system, each, flow, lash)
             of_lash[:, CLOSING, n : 2 * n] = twist
-        for m, (measure, part) in enumerate(zip(study.measures, parts_of(study), strict=True), OF_LASH * lashes):
+        for m, measure in enumerate(study.measures, OF_LASH * lashes):
+            part = part_of(measure, study)
             row, k = rows[:, flow, m], part.number
             if measure.quantity == "acceleration":
                 row[:, :size], row[:, size:] = each.rates[:, flow, n + k], each.inputs[:, flow, n + k]

@@ -37,10 +37,6 @@ class ResultAxis:
     unit: str
     words: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if self.values.dtype != np.float64 or self.values.ndim != 1 or not self.values.size:
-            raise ValueError(f"the values of axis {self.parameter} must be a non-empty 1-D float64 array")
-
     @property
     def variable(self) -> str:
         """Name of the axis in the results file: ``load_ratio``, ``driveline_inertias_4``."""

@@ -252,8 +252,6 @@ def _numbered_part(value: Any, info: ValidationInfo) -> Any:
     """Number of an inertia or a shaft that is given by its name; else the value, which a rule of the config judges."""
     if info.data.get("quantity") == "acceleration":
         return numbered_inertia(value, info)
-    if not isinstance(value, int | str) or isinstance(value, bool):
-        raise refusal(((), f"found {shorten(value)}; must be a number from 1, or a name"))
     driveline = info.context if isinstance(info.context, Mapping) else {}
     names = [shaft.get("name") for shaft in items_of(driveline.get("shafts")) if isinstance(shaft, dict)]
     return names.index(value) + 1 if isinstance(value, str) and value in names else value
@@ -404,8 +402,8 @@ def lash_position(name: str | None, names: Sequence[str]) -> int:
     raise ConfigError(f"There is no lash {shorten(name)}; {there}.")
 
 
-def part_of(measure: Measure, config: Config) -> Part | str:
-    """The part of the driveline that a measure is of, or what is wrong with its name."""
+def part_of(measure: Measure, config: Config) -> Part:
+    """The part of the driveline that a measure is of. Raises ValueError, with what is wrong, where there is none."""
     elements = _PARTS[measure.quantity]
     names: dict[str, Sequence[str | None]] = {
         "inertia": config.driveline.names or (None,) * len(config.driveline.inertias),
@@ -416,15 +414,10 @@ def part_of(measure: Measure, config: Config) -> Part | str:
         if measure.of in names[element]:
             return Part(element, names[element].index(str(measure.of)))
     count = len(names[elements[0]])
-    if isinstance(measure.of, int) and 1 <= measure.of <= count:
+    if type(measure.of) is int and 1 <= measure.of <= count:
         return Part(elements[0], measure.of - 1)
     known = [name for element in elements for name in names[element] if name is not None]
     likely = nearest(measure.of, known) if isinstance(measure.of, str) else None
     hint = f"did you mean {shorten(likely)}? It" if likely else "it"
     choices = listing([f"its number from 1 to {count}", *map(shorten, known)], "or")
-    return f"there is no {' or '.join(elements)} {shorten(measure.of)}; {hint} must be {choices}"
-
-
-def parts_of(config: Config) -> list[Part]:
-    """The parts of the driveline that the measures of a sound config are of."""
-    return [part for measure in config.measures if isinstance(part := part_of(measure, config), Part)]
+    raise ValueError(f"there is no {' or '.join(elements)} {shorten(measure.of)}; {hint} must be {choices}")

@@ -190,10 +190,12 @@ def _measured(config: Config) -> Iterator[Finding]:
             yield (*place, "name"), f"measure {names.index(measure.name) + 1} has the name {shorten(measure.name)} too"
         if measure.name in taken or measure.name.startswith(("boundary", "junction", "region", "ring")):
             yield (*place, "name"), f"results files have another variable {shorten(measure.name)}; choose another name"
-        part = part_of(measure, config)
-        if isinstance(part, str):
-            yield (*place, "of"), part
-        elif _is_impulsive(part, config) and measure.quantity != "twist":
+        try:
+            part = part_of(measure, config)
+        except ValueError as error:
+            yield (*place, "of"), str(error)
+            continue
+        if _is_impulsive(part, config) and measure.quantity != "twist":
             text = f"under the restitution model a touch makes the {measure.quantity} infinite"
             yield (*place, "quantity"), f"{text}; twists and shaft torques stay finite"
 
