@@ -92,16 +92,6 @@ def test_a_motion_scales_with_its_driveline_and_its_load(nominal, law, ratio, ba
     assert agree(other.margin, one.margin, method, within=1e-9)
 
 
-def test_no_released_torque_no_motion(nominal):
-    """σr = 0: the load step is none."""
-    trajectory = simulate(at(nominal, 0.0, 6.0))
-    assert trajectory.label == "NI"
-    assert len(trajectory.events) == 1
-    assert trajectory.severity == 0.0
-    assert trajectory.approach_velocity == 0.0
-    assert trajectory.complete
-
-
 @pytest.mark.parametrize("ratio", [-1.5, -2.0, -3.0])
 def test_a_load_that_changes_sign_ends_on_the_other_flank(nominal, ratio):
     """σr < -1: the preload is on the positive flank, the final load rests on the negative one; the crossing stays."""
@@ -118,32 +108,6 @@ def test_the_motion_dies_out_in_static_contact_under_the_torque_after_the_step(n
     history = sample(simulate(nominal), step=0.1, until=12.1)
     assert history.angle[-1] == pytest.approx(rest[:4], abs=1e-11)
     assert history.velocity[-1] == pytest.approx(0.0, abs=1e-11)
-
-
-class TestVanishingBacklash:
-    """φθ = 0: the flanks change without a gap, and an impact is a change of sign of the contact torque."""
-
-    RIGID = (1.432, 3.072, 6.606, 14.207)  # of the 3 degrees of freedom with the lash locked, computed independently
-
-    def threshold(self, study, count, low, high):
-        """The load ratio from which on there are `count` double-sided impacts, to 1e-5."""
-        while high - low > 1e-5:
-            middle = 0.5 * (low + high)
-            if len(simulate(at(study, middle, 0.0)).primaries) >= 2 * count:
-                high = middle
-            else:
-                low = middle
-        assert simulate(at(study, high, 0.0)).label == f"DS({count})"
-        return high
-
-    @pytest.mark.parametrize("count", [1, 2, 3, 4])
-    def test_a_stiff_contact_has_the_thresholds_of_a_rigid_one(self, nominal, count):
-        """The nominal contact moves them by less than 1e-3; one 25 times as stiff by a 25th of that."""
-        rigid = self.RIGID[count - 1]
-        assert self.threshold(nominal, count, 0.9 * rigid, 1.1 * rigid) == pytest.approx(rigid, rel=1e-3)
-        stiffer = {"lash.contact.stiffness": 25 * 4.092e5, "lash.contact.damping": 5 * 94.0, "solver.step": 2e-5}
-        study = replace_values(nominal, stiffer)
-        assert self.threshold(study, count, 0.9 * rigid, 1.1 * rigid) == pytest.approx(rigid, abs=1e-3)
 
 
 class TestStickingTime:
