@@ -5,11 +5,6 @@ from bisect import bisect_right
 import numpy as np
 
 
-def kinks(plant):
-    """Times after t = 0 at which the load has a kink or a jump, increasing."""
-    return [piece.begin for piece in plant.pieces if piece.begin > 0.0]
-
-
 class OneLash:
     """A plant's equations of motion in each of its regimes."""
 
