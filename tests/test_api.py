@@ -123,30 +123,6 @@ def test_a_sweep_into_a_file_of_something_else_leaves_it_alone(small, here):
     assert clunk.read_results("small.h5").config_digest == digest(other)
 
 
-def test_an_interrupted_sweep_keeps_its_cells_and_goes_on(small, results, here, monkeypatch):
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as stopped:
-        clunk.sweep(small, "small.h5", progress=interrupt)
-    (note,) = stopped.value.__notes__
-    kept = int(note.split()[0])
-    assert note.endswith("small.h5.partial; the same command goes on from there")
-    told = []
-    found = clunk.sweep(small, "small.h5", progress=lambda done, total: told.append(done))
-    assert told[0] == kept > 0
-    assert_same(replace(found, attributes={}), replace(results, attributes={}))
-    assert [path.name for path in here.iterdir()] == ["small.h5"]
-
-
-def test_a_study_without_axes_is_refused_at_once(here):
-    single = clunk.study_from_text('driveline.preset = "boere-2008"')
-    for output in (None, "x.h5"):
-        with pytest.raises(clunk.ClunkError, match="nothing to sweep"):
-            clunk.sweep(single, output, progress=True)
-    assert not list(here.iterdir())
-
-
 # --- Datasets
 
 

@@ -158,17 +158,14 @@ def test_events_are_what_differs_between_the_two_runs(coarse):
         assert (curve.event == "sticking_time_reached") == (same and runs[0].touches == runs[1].touches)
 
 
-def test_failed_cells_are_a_label():
-    failing = clunk.sweep(
-        study(
-            axis("load.ratio", 2.0, 6.0, 9),
-            axis("lash.backlash_deg", 2.0, 6.0, 9),
-            of=(EXACT, "solver.max_events=16"),
-        ),
-        boundaries=True,
-    )
+def test_failed_cells_are_a_label_whose_regions_are_filled_and_a_slice_has_no_boundaries():
+    axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
+    failing = clunk.sweep(study(*axes, of=(EXACT, "solver.max_events=16")), boundaries=True)
     assert FAILED in failing.boundaries.areas
     assert sum(failing.boundaries.areas.values()) == pytest.approx(1.0)
+    (ax,) = clunk.draw(failing).axes[:1]
+    assert [patch for patch in ax.patches if patch.get_gid() == "region failed"]
+    assert failing.at({"load.ratio": 4.0}).boundaries is None
 
 
 def test_rk4_has_the_boundaries_of_the_exact_method():
@@ -418,11 +415,3 @@ def test_maps_are_drawn_with_the_traced_curves(turned):
     for label in ("NI", "SS(1)", "DS(1)SS(1)", "DS(2)"):
         point = np.array(places[label][:: -1 if turned else 1])
         assert [region.label for region in results.boundaries.regions if is_within(region, point)] == [label]
-
-
-def test_failed_regions_are_filled_and_a_slice_has_no_boundaries():
-    axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
-    results = clunk.sweep(study(*axes, of=(EXACT, "solver.max_events=16")), boundaries=True)
-    (ax,) = clunk.draw(results).axes[:1]
-    assert [patch for patch in ax.patches if patch.get_gid() == "region failed"]
-    assert results.at({"load.ratio": 4.0}).boundaries is None

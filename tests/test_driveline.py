@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.starts import started
 
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import simulate
-from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 
 
@@ -24,12 +22,6 @@ def test_the_matrices_are_those_of_equation_2_6(nominal):
     assert np.array_equal(driveline.lashes[0], [0, 0, 1, -1])
     assert np.array_equal(driveline.load, [1, 0, 0, 0])
     assert driveline.rigid_motion.shape.size == 0
-
-
-def test_the_contact_is_converted_from_its_radius(nominal):
-    driveline = Driveline.from_study(nominal)
-    assert driveline.contact_stiffnesses[0] == pytest.approx(2618.88, rel=1e-12)
-    assert driveline.contact_dampings[0] == pytest.approx(0.6016, rel=1e-12)
 
 
 def test_the_natural_frequencies_are_those_of_the_report(nominal):
@@ -107,18 +99,3 @@ class TestLashToGround:
         assert trajectory.states[0, 0] == pytest.approx(-np.deg2rad(0.5) - 6.0 / 1e3, rel=1e-12)
         assert np.array_equal(trajectory.states, simulate(single()).states)
         assert trajectory.label == simulate(single()).label
-
-
-def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():
-    """The lash hangs off a grounded inertia: whatever the torque, nothing presses its flanks together."""
-    plant = reference.Plant((0.01, 0.002), ((1, "ground", 30.0, 0.1),), (1, 2), acceleration_of=1)
-    with pytest.raises(ClunkError, match="initial flank"):
-        simulate(reference.study_of(plant, method="rk4"))
-
-
-def test_a_run_from_the_preload_is_the_run(nominal):
-    whole = simulate(nominal)
-    given = started(nominal, whole.states[0])
-    assert given.initial_side == whole.initial_side
-    assert np.array_equal(given.states, whole.states)
-    assert given.label == whole.label

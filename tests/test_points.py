@@ -4,56 +4,11 @@ import numpy as np
 import pytest
 
 import clunk
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
-from clunk.study.axes import RUN
-
-CONFIG = """
-driveline.preset = "boere-2008"
-[[sweep.axes]]
-parameter = "load.ratio"
-values = [2.0, 5.0, 9.0]
-[[sweep.axes]]
-parameter = "{parameter}"
-values = {values}
-"""
 
 
 @pytest.fixture(scope="module")
 def single():
     return clunk.study_from_text('driveline.preset = "boere-2008"')
-
-
-@pytest.mark.parametrize(
-    ("parameter", "values"),
-    [
-        ("lash.backlash_deg", [1.0, 5.0, 10.0, 20.0]),
-        ("driveline.inertias[4]", [0.001, 0.002, 0.02]),
-        ("load.on", [1, 3]),
-        ("solver.end_time", [0.15, 2.0]),
-    ],
-)
-def test_points_of_a_grid_are_the_bits_of_its_cells(parameter, values):
-    study = clunk.study_from_text(CONFIG.format(parameter=parameter, values=values))
-    grid = clunk.sweep(study, boundaries=False)
-    ratios, others = np.meshgrid([2.0, 5.0, 9.0], np.array(values, float), indexing="ij")
-    runs = clunk.run_points(study, {"load.ratio": ratios.ravel(), parameter: others.ravel()}, workers=3)
-    assert runs.shape == (ratios.size,)
-    assert [axis.parameter for axis in runs.axes] == [RUN]
-    assert [axis.parameter for axis in runs.coordinates] == ["load.ratio", parameter]
-    assert runs.labels == grid.labels
-    for name in CELL_QUANTITIES:
-        assert getattr(runs, name).tobytes() == getattr(grid, name).tobytes(), name
-    for name in IMPACT_QUANTITIES:
-        assert getattr(runs, name).tobytes() == getattr(grid, name).tobytes(), name
-
-
-def test_the_order_of_points_does_not_matter(single):
-    rng = np.random.default_rng(2)
-    ratio, gap, order = rng.uniform(0.0, 10.0, 300), rng.uniform(0.5, 20.0, 300), rng.permutation(300)
-    one = clunk.run_points(single, {"load.ratio": ratio, "lash.backlash_deg": gap})
-    other = clunk.run_points(single, {"lash.backlash_deg": gap[order], "load.ratio": ratio[order]}, workers=1)
-    assert np.array_equal(one.label_map[order], other.label_map)
-    assert np.array_equal(one.severity[order], other.severity)
 
 
 def test_runs_are_a_file_like_any_other(single, tmp_path):

@@ -4,10 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers import general, reference
-from helpers.reference import CONTACTS, PROFILES, Plant, lag, ramp, step, table
+from helpers import reference
+from helpers.reference import PROFILES, Plant, lag, step
 from helpers.starts import started
-from scipy.integrate import solve_ivp
 
 from clunk.simulation.history import sample
 
@@ -91,32 +90,3 @@ def test_an_inertia_on_a_shaft_moves_by_the_closed_form(profile, method):
     assert np.all(
         np.abs(moved - by_hand(plant.profile, plant.before, plant.after, times)[:2]) <= CLOSE[method] * scales
     )
-
-
-@pytest.mark.parametrize("profile", [step(), ramp(0.1), table((0.0, 0.1, 0.1), (-6.0, -4.0, -1.0))], ids=str)
-@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
-def test_every_phase_of_the_reference_is_that_of_a_general_integrator(contact, profile):
-    """DOP853 from each event to the next, so that not all rests on matrix exponentials; kinks cost it small steps."""
-    plant = reference.boere(5.0, 6.0, profile=profile, **contact)
-    motion, (events, _) = general.OneLash(plant), reference.run(plant, 0.4)
-    assert len(events) > 6
-    for event, following in pairwise(events):
-        ((name, side),) = event.modes
-        flight = (
-            solve_ivp(
-                motion.slope,
-                (event.time, following.time),
-                event.state,
-                "DOP853",
-                rtol=1e-11,
-                atol=1e-13,
-                max_step=0.3 / motion.fastest(),
-                args=((name, side),),
-            )
-            if following.time > event.time
-            else None
-        )
-        end = event.state if flight is None else flight.y[:, -1]
-        assert end[:4] == pytest.approx(following.state[:4], abs=1e-8)
-        if following.kind != "lock":
-            assert plant.twist @ end[4:] == pytest.approx(following.speed, abs=1e-6)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from helpers import reference
 from helpers.agreement import exact, kinds_of
-from helpers.general import OneLash
 
 from clunk.core.rk4.propagator import rk4_growth
 from clunk.simulation import driveline
@@ -42,26 +41,6 @@ def test_the_error_falls_sixteenfold_across_located_events(ratio, backlash, sepa
         errors.append((times.max(), np.abs(run.states - [event.state for event in events]).max()))
     for large, small in zip(*errors, strict=True):
         assert large == pytest.approx(16.0 * small, rel=0.1, abs=16.0 * ROUNDING)
-
-
-@pytest.mark.parametrize("phase", range(4))
-def test_steps_equal_the_four_classical_stages(phase):
-    """Precomputed products, one step or several at once, and parts of one up to an event, against Kutta's formula."""
-    step, plant = 1e-4, reference.boere(5.0, 6.0)
-    run, motion = stepped(plant, step), OneLash(plant)
-    regime = [("closed", -1), ("open", 0), ("closed", 1), ("open", 0)][phase]
-    begin, end = run.events["time"][phase : phase + 2]
-    grid = step * np.arange(np.floor(begin / step) + 1, np.ceil(end / step))
-    x = run.states[phase]
-    for here, there in pairwise([begin, *grid, end]):
-        length = there - here
-        k1 = motion.slope(0.0, x, regime)
-        k2 = motion.slope(0.0, x + length / 2 * k1, regime)
-        k3 = motion.slope(0.0, x + length / 2 * k2, regime)
-        k4 = motion.slope(0.0, x + length * k3, regime)
-        x = x + length / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    # rounding of h A x, whose terms reach 1e-4 s · 1.3e6 1/s² · 0.6 rad, and of so many steps
-    assert run.states[phase + 1] == pytest.approx(x, rel=1e-12, abs=(grid.size + 1) * 1e-13)
 
 
 def test_growth_is_that_of_the_stability_polynomial():

@@ -36,15 +36,7 @@ def primaries(*happened, initial=-1, sticking_time=STICKING):
         ("OIOIOI", "DS(3)"),
         ("IOI", "SS(1)DS(1)"),
         ("OIIOI", "DS(1)SS(1)DS(1)"),
-    ],
-)
-def test_the_labels_of_the_report_are_run_lengths_of_excursions(flanks, name):
-    assert label(1 if flank == "O" else -1 for flank in flanks) == name
-
-
-@pytest.mark.parametrize(
-    ("flanks", "name"),
-    [
+        # what the report does not meet
         ("O", "CR(1)"),
         ("IO", "SS(1)CR(1)"),
         ("OIO", "DS(1)CR(1)"),
@@ -54,7 +46,7 @@ def test_the_labels_of_the_report_are_run_lengths_of_excursions(flanks, name):
         ("OO", "OS(1)CR(1)"),
     ],
 )
-def test_what_the_report_does_not_meet_is_named_too(flanks, name):
+def test_labels_are_run_lengths_of_excursions(flanks, name):
     """OS: left the opposite flank and came back to it. CR: a crossing that the run does not complete."""
     assert label(1 if flank == "O" else -1 for flank in flanks) == name
 

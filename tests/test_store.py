@@ -16,6 +16,7 @@ from helpers.maps import with_arrays
 
 from clunk.core.status import Status
 from clunk.results import netcdf, store
+from clunk.results.files import reason
 from clunk.results.maps import Results
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.axes import ResultAxis
@@ -274,6 +275,18 @@ def test_writing_onto_a_directory_or_under_a_file_is_a_sentence(tmp_path: Path) 
         store.write_results(tmp_path / "file" / "map.h5", example(RATIO))
     assert_sentence(raised.value, tmp_path / "file" / "map.h5", "cannot be written")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken"]
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(28, "No space left on device"), "no space left on device"),
+        (ValueError("Two\n  lines."), "two lines"),
+        (MemoryError(), "MemoryError"),
+    ],
+)
+def test_a_reason_can_stand_within_a_sentence(error: Exception, words: str) -> None:
+    assert reason(error).lower() == words.lower()
 
 
 # --- files that are not what they should be

@@ -82,18 +82,6 @@ def test_both_methods_find_the_same_labels_touches_and_times_on_a_coarse_grid(gr
     assert found["approach_velocity"].over_largest < 1e-6
 
 
-def test_a_step_that_damps_the_contact_gives_labels_that_exact_does_not_flag():
-    found = verify(study(NEAR_A_BOUNDARY, TOO_COARSE))
-    assert not agree(found)
-    assert (found.cells, found.differing, found.differing_elsewhere) == (6, 2, 2)
-    cells = found.differing_cells
-    assert [tuple(cell.at.values()) for cell in cells] == [(9.0, 15.0), (9.0, 16.0)]
-    assert {(cell.a, cell.b, cell.flagged) for cell in cells} == {("DS(1)SS(2)", "DS(1)SS(1)", False)}
-    _, exact = found.maps
-    assert all(exact.margin[cell.index] > study().solver.margin_tolerance for cell in cells)
-    assert "2 of 6 cells differ" in found.verdict
-
-
 def test_cells_with_a_lost_rebound_are_told_by_their_touches():
     found = verify(study(NEAR_A_BOUNDARY.replace("12.0, 15.0, 16.0", "1.3"), "solver.step=1e-3"))
     assert agree(found)
