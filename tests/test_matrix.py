@@ -184,7 +184,7 @@ def test_single_runs_are_those_of_its_cells(verified):
         )
         alone = clunk.simulate(replace_values(with_method(verified.study, method), points))
         assert runs.of_lash().label_map[0] == of_lash.label_map[at] == alone.label
-        for name in CELL_QUANTITIES:
+        for name in CELL_QUANTITIES.keys() - {"sequence"}:
             assert getattr(runs.of_lash(), name)[0].tobytes() == getattr(of_lash, name)[at].tobytes(), name
 
 
