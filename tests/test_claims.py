@@ -123,7 +123,7 @@ def test_the_tables_of_the_results_are_what_reproduce_computes(tmp_path):
 def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused(tmp_path):
     path = tmp_path / "page.md"
     path.write_text("before\n<!-- claims: errors -->\nold\n<!-- end -->\n\n<!-- claims: agrees -->\n<!-- end -->\n")
-    broken = Claim("§0", "two and two make four", "five", Verdict.DIFFERS, Verdict.AGREES)
+    broken = Claim("§0", "two and two make four", "five", False, Verdict.AGREES)
     reproduction.write_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)])
     once = path.read_text()
     assert [row for row in rows(path) if row[0] == "§0"] == [
@@ -141,7 +141,7 @@ def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused
 
 
 def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(tmp_path, monkeypatch, command):
-    broken = Claim("§0", "two and two make four", "five", Verdict.DIFFERS, Verdict.AGREES)
+    broken = Claim("§0", "two and two make four", "five", False, Verdict.AGREES)
     monkeypatch.setattr(claims, "claims", lambda _evidence: [broken])
     monkeypatch.setattr(reproduction, "figures", lambda e: {"figure_3_1": _figures(e)["figure_3_1"]})
     code, out, err = command("reproduce", "-o", tmp_path, "--coarsen", "20")

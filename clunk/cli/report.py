@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from clunk.cli import terminal
 from clunk.cli.options import PATH, at_option, nearest_values
-
-if TYPE_CHECKING:
-    from clunk.results.maps import AnyMap
 
 
 @click.command()
@@ -39,18 +34,5 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     if at:
         part = results.at(nearest_values(results.axes, results.coordinates, at))
     digests = [("config digest", results.config_digest), ("content digest", content_digest(dataset_of(results)))]
-    write_text(target, page(part, _commands(results, file, target, at), digests))
+    write_text(target, page(part, digests))
     terminal.say_written(target)
-
-
-def _commands(results: AnyMap, file: Path, target: Path, at: tuple[str, ...]) -> list[str]:
-    """Lines of a shell that make the results again from their config, and then the page."""
-    config, copy = f"{file.stem}.toml", f"{file.stem}.h5"
-    sweep = ["clunk", "sweep", config, "-o", copy]
-    if results.boundaries is not None:
-        sweep += ["--boundaries", *(["--lash", results.boundaries.lash] if results.boundaries.lash else [])]
-    made = [f"# the config below is {config}", shlex.join(sweep)]
-    if results.setting("sweep") is None:
-        made = ["# by clunk.run_points, for the config below at points that a script names"]
-    slices = [word for place in at for word in ("--at", place)]
-    return [*made, shlex.join(["clunk", "report", copy, "-o", target.name, *slices])]

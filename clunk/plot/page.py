@@ -41,8 +41,6 @@ _PAGE = """<!doctype html>
 <body>
 <h1>{title}</h1>
 {parts}
-<h2>How to make it again</h2>
-<pre>{again}</pre>
 <h2>Versions and digests</h2>
 {provenance}
 <h2>Config</h2>
@@ -52,10 +50,9 @@ _PAGE = """<!doctype html>
 """
 
 
-def page(results: Results | ToleranceMap, commands: Sequence[str], digests: Sequence[tuple[str, str]]) -> str:
+def page(results: Results | ToleranceMap, digests: Sequence[tuple[str, str]]) -> str:
     """HTML of the page on a map.
 
-    commands : lines of a shell by which the map and the page are made again from the config
     digests : name and value of what tells whether it is the same
 
     Raises PlotError where more axes have several values than pictures show.
@@ -66,7 +63,6 @@ def page(results: Results | ToleranceMap, commands: Sequence[str], digests: Sequ
         title=escape(results.title.strip() or "Impact regimes"),
         style=_STYLE,
         parts="\n".join(parts),
-        again=escape("\n".join(commands)),
         provenance=html_table(provenance),
         config=escape(results.config),
     )

@@ -8,6 +8,7 @@ A claim has the verdict that it is known to deserve. One that is known to agree 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from clunk.simulation.load import load_step
 from clunk.simulation.small_gap import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats
-from clunk.study.records import Record, told
+from clunk.study.records import Record, tells, told
 
 NINE = ("NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
 
@@ -43,40 +44,37 @@ class Claim(Record):
     where : place in the report
     report : what it says
     ours : what clunk finds
-    verdict : what the comparison shows
+    shown : whether this shows the report to be right; or to contradict itself, where it is known to
     known : the verdict that it is known to deserve
     """
 
     where: str = told("where")
     report: str = told("the report")
     ours: str = told("clunk", key="clunk")
-    verdict: Verdict = told("verdict")
+    shown: bool = told()
     known: Verdict = told("known")
+
+    @property
+    @tells("verdict")
+    def verdict(self) -> Verdict:
+        """What the comparison shows."""
+        if not self.shown:
+            return Verdict.DIFFERS
+        return Verdict.CONTRADICTS if self.known == Verdict.CONTRADICTS else Verdict.AGREES
 
     @property
     def failed(self) -> bool:
         """Whether a claim that is known to agree no longer does."""
-        return self.known == Verdict.AGREES and self.verdict != Verdict.AGREES
+        return self.known == Verdict.AGREES and not self.shown
+
+
+_agrees, _differs, _contradicts = (partial(Claim, known=verdict) for verdict in Verdict)
 
 
 def claims(evidence: Evidence) -> list[Claim]:
     """Check every claim of the report that can be checked, in its order."""
     sections = (_driveline, _models, _time_histories, _linear_view, _regimes, _severity, _experiment)
     return [claim for section in sections for claim in section(evidence)]
-
-
-def _agrees(where: str, report: str, ours: str, holds: bool, known: Verdict = Verdict.AGREES) -> Claim:
-    return Claim(where, report, ours, Verdict.AGREES if holds else Verdict.DIFFERS, known)
-
-
-def _differs(where: str, report: str, ours: str, holds: bool) -> Claim:
-    """A claim that is known not to hold."""
-    return _agrees(where, report, ours, holds, Verdict.DIFFERS)
-
-
-def _contradicts(where: str, report: str, ours: str, shown: bool) -> Claim:
-    """A place where the report contradicts itself, if the evidence still shows it."""
-    return Claim(where, report, ours, Verdict.CONTRADICTS if shown else Verdict.DIFFERS, Verdict.CONTRADICTS)
 
 
 def _driveline(e: Evidence) -> Iterator[Claim]:
