@@ -9,7 +9,6 @@ from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
 from clunk.analysis.comparison import compare
-from clunk.plot.maps import scatter
 from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
@@ -263,7 +262,6 @@ class TestCommandLine:
             (["sample.h5", "--at", "load.ratio=5"], "name the run, --at run="),
             (["mixed.h5"], "differ in run would lie on each other: choose one value (--at)"),
             (["mixed.h5", "--x", "load.ratio"], "differ in lash.backlash_deg would lie on each other"),
-            (["mixed.h5", "--facet", "load.ratio"], "have no order that a map could show"),
         ],
     )
     def test_what_cannot_be_drawn_is_answered_with_what_to_type(self, command, files, arguments, found):
@@ -325,8 +323,17 @@ class TestFigures:
         assert "= 10\n" in titles[7]
         assert "load ratio: 4 of 6 values" in figure.subfigs[0].get_suptitle()
 
+    def test_runs_are_points_in_a_panel_for_each_cell_of_a_grid(self, mixed):
+        x, y = (axis.parameter for axis in mixed.coordinates[:2])
+        figure = plot.draw(mixed, "severity", facets=["load.ratio", "lash.backlash_deg"], x=x, y=y)
+        panels = [ax for ax in figure.subfigs[0].axes if ax.collections and ax.get_title(loc="left")]
+        assert len(panels) == 4 * 4
+        expected = np.column_stack([axis.values for axis in mixed.coordinates[:2]])
+        for ax in panels:
+            np.testing.assert_array_equal(ax.collections[0].get_offsets(), expected)
+
     def test_a_point_stands_for_each_run_in_its_labels_colour(self, sampled):
-        figure = scatter(sampled, "regimes", "load.ratio", "driveline.inertias[4]")
+        figure = plot.draw(sampled, "regimes", x="load.ratio", y="driveline.inertias[4]")
         ax = figure.axes[0]
         (points,) = ax.collections
         inertia, ratio = (sampled.coordinates[k].values for k in (1, 2))

@@ -13,7 +13,7 @@ from test_store import BACKLASH, INERTIA, RATIO, example as example_without_conf
 from test_sweeping import digest_of
 
 from clunk.analysis.marks import thresholds_of
-from clunk.plot.maps import scatter
+from clunk.plot import draw
 from clunk.plot.page import page
 from clunk.plot.style import MOST_POINTS, save
 from clunk.results import store
@@ -165,7 +165,7 @@ def test_a_cloud_of_points_is_not_a_path_for_each(tmp_path, count):
     run = ResultAxis(RUN, np.arange(1.0, count + 1.0), "run", "", "1")
     x, y = (replace(axis, values=rng.uniform(0.5, 10.0, count)) for axis in (RATIO, BACKLASH))
     results = replace(with_arrays(example(run), quality=np.zeros(count, np.uint8)), coordinates=(x, y))
-    save(scatter(results, "regimes", x.parameter, y.parameter), tmp_path / "cloud.svg")
+    save(draw(results, "regimes", x=x.parameter, y=y.parameter), tmp_path / "cloud.svg")
     text = (tmp_path / "cloud.svg").read_text("utf-8")
     assert (text.count("<use") > count) == (count == 100)
     assert ("<image" in text) == (count > 100)

@@ -19,7 +19,8 @@ from clunk import plot
 from clunk.analysis.marks import ridge_of
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.layers import Layers
-from clunk.plot.maps import shades_of, strip
+from clunk.plot.maps import shades_of
+from clunk.plot.plane import View
 from clunk.plot.style import FAILED_FILL, INK, colour_of, group_colour
 from clunk.results.maps import Results
 from clunk.results.quantities import quantity_of
@@ -186,7 +187,8 @@ def test_lines_between_cells_part_exactly_the_cells_that_differ(seed: int) -> No
     axes = tuple(
         replace(axis, values=np.arange(float(n))) for axis, n in zip((RATIO, BACKLASH), codes.shape, strict=True)
     )
-    layers = Layers.of(make(axes, ("NI", "SS(1)", "DS(1)"), codes, np.ones(codes.shape)), 2)
+    results = make(axes, ("NI", "SS(1)", "DS(1)"), codes, np.ones(codes.shape))
+    layers = Layers.of(results, View.of_grid(results))
     length = sum(float(np.hypot(*np.diff(line, axis=0)[0])) for line in layers.lines)
     assert length == np.count_nonzero(np.diff(codes, axis=0)) + np.count_nonzero(np.diff(codes, axis=1))
 
@@ -395,7 +397,7 @@ def test_the_ridge_is_the_largest_severity_of_each_load_ratio(nine: Results) -> 
 
 def test_the_colours_of_the_severity_map_are_the_severity(nine: Results) -> None:
     figure = plot.draw(with_cells(nine, [np.s_[30:40, 30:40]], -1), "severity")
-    shades = shades_of([Layers.of(nine, 2, "severity")]).to_rgba(nine.severity)[..., :3]
+    shades = shades_of([Layers.of(nine, View.of_grid(nine), "severity")]).to_rgba(nine.severity)[..., :3]
     shades[30:40, 30:40] = to_rgb(FAILED_FILL)
     expected = shades[1:-1, 1:-1].reshape(-1, 3)
     np.testing.assert_allclose(colours_at(figure.axes[0], *cell_places(nine)) / 255.0, expected, atol=0.005)  # 8 bits
@@ -442,7 +444,7 @@ def one_axis(codes: list[int], severity: np.ndarray | None = None) -> Results:
 def test_a_strip_names_the_regimes_over_the_curve() -> None:
     results = one_axis([0] * 30 + [1] * 40 + [4] * 60 + [7] * 70 + [8] * 1)
     results = replace(results, labels=("NI", "SS(1)", *LABELS[2:]))
-    figure = strip(results, "severity")
+    figure = plot.draw(results, "severity")
     band, curve = figure.axes
     for text in band.texts:
         x = band.transData.inverted().transform(outline(box_of(text)))[:, 0]
@@ -461,11 +463,9 @@ def test_a_single_cell_is_drawn_as_a_strip(tmp_path: Path) -> None:
     plot.save(figure, tmp_path / "cell.png")
 
 
-def test_a_map_of_one_axis_and_a_strip_of_two_are_refused(nine: Results) -> None:
+def test_a_map_of_one_axis_is_refused() -> None:
     with pytest.raises(plot.PlotError, match="needs two axes and these results sweep one axis"):
-        Layers.of(one_axis([0, 1]), 2)
-    with pytest.raises(plot.PlotError, match="needs one axis and these results sweep two axes"):
-        strip(nine, "severity")
+        View.of_plane(one_axis([0, 1]))
 
 
 # --- files

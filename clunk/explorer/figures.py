@@ -27,7 +27,7 @@ from clunk.plot.histories import flank_names, measured_impacts, outcome
 from clunk.plot.labelling import roomiest
 from clunk.plot.layers import Layers
 from clunk.plot.maps import cell_colours, shades_of
-from clunk.plot.plane import Codes, cells_of, ruler, value_text
+from clunk.plot.plane import Codes, View, cells_of, ruler, value_text
 from clunk.plot.style import FAILED_FILL, FAINT_INK, INK, LINE_COLOURS, bare, capital
 from clunk.results.maps import AnyMap
 from clunk.results.quantities import YES_NO
@@ -133,7 +133,7 @@ class MapFigure:
 
         Raises PlotError where the quantity has no value at all.
         """
-        layers = Layers.of(part, len(self._axes), quantity)
+        layers = Layers.of(part, View.of_grid(part), quantity)
         if len(self._axes) > 1:
             return self._map_changes(layers)
         edges, codes = layers.bands

@@ -22,7 +22,7 @@ from clunk.analysis.thresholds import DRAW, QUANTILE, Thresholds, word_text
 from clunk.plot import style
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
-from clunk.plot.plane import cell_edges, scale_panels, value_text
+from clunk.plot.plane import View, cell_edges, scale_panels, value_text
 from clunk.plot.style import INK, LINE_COLOURS, Look
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.maps import Results
@@ -57,7 +57,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
 
     Raises PlotError unless two axes were swept.
     """
-    layers = Layers.of(a, 2)
+    layers = Layers.of(a, View.of_plane(a))
     codes_a, codes_b, rest = map(layers.view.arrange, (comparison.codes_a, comparison.codes_b, comparison.differs))
     marks = []
     for transition, colour in zip(comparison.transitions, LINE_COLOURS[:_MARKED], strict=False):
@@ -97,7 +97,7 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
 
     Raises PlotError unless two axes were swept.
     """
-    layers = Layers.of(results, 2)
+    layers = Layers.of(results, View.of_plane(results))
     across, upward = layers.view.keep
     points = tuple(
         Measured(point.values[across], point.values[upward], point.measured, point.agrees)
@@ -119,7 +119,7 @@ def measured_on_maps(fitted: Fitted, workers: int | None = None) -> Figure:
     panels, names = [], []
     matches = {"nominal": fitted.nominal_matches, "fitted": fitted.estimate_matches}
     for (name, of_name), results in zip(matches.items(), fit_maps(fitted, workers), strict=True):
-        layers = Layers.of(results, 2)
+        layers = Layers.of(results, View.of_plane(results))
         places = fitted.points[:, [fitted.axes.index(axis.parameter) for axis in layers.view.axes]].tolist()
         labels = [each.label for each in fitted.experiment.measurements]
         met = (of_name["label"] == fitted.wanted).tolist()

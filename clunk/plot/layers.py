@@ -62,7 +62,7 @@ class Layers:
     codes : (nx, ny) int16, regions of the cells, of a strip (nx,), of points (cells,) in C order; -1 failed
     regions_of : code in the boundaries -> region; the last is that of failed cells
     boundaries : Boundaries, if they have been traced: of them those between two regions are drawn
-    undecided : bool, shape of `codes`: cells whose margin is below its tolerance, where that makes a difference
+    undecided : bool, shape of `codes`: cells of a grid whose margin is below its tolerance, where it matters
     unresolved : (n, axes) places that tracing left open
     values : float64, shape of `codes`, NaN where a quantity is not known; of labels empty
     value_label : name of the values beside an axis or a colour bar
@@ -95,16 +95,17 @@ class Layers:
     caveats: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, drawn: AnyMap, dimensions: int, quantity: str = LABEL, most: int = MOST_LABELS) -> Layers:
-        """Layers of a quantity of a map over this many axes, 0 for its cells as points.
+    def of(cls, drawn: AnyMap, view: View, quantity: str = LABEL, most: int = MOST_LABELS) -> Layers:
+        """Layers of a quantity of a map in a view; over one axis regions are labels, and values how hard impacts are.
 
         most : labels that are told apart; more are shown by their number of double-sided impacts
 
-        Raises PlotError where the map has other axes, or the quantity is not defined in any cell; ClunkError where
-        there is no such quantity.
+        Raises PlotError where the quantity is not defined in any cell, ClunkError where there is none of that name.
         """
-        described, view = quantity_of(quantity, drawn), View.of(drawn, dimensions)
-        traced = drawn.boundaries if dimensions else None
+        described = quantity_of(quantity, drawn)
+        if len(view.axes) == 1 and described.type == TEXT:
+            described = quantity_of(hardness(drawn), drawn)
+        traced = None if view.places else drawn.boundaries
         labels = drawn.labels if traced is None else traced.labels
         is_label = described.type == TEXT
         values = np.zeros(0) if is_label else view.arrange(described.of_runs(drawn))
@@ -115,7 +116,7 @@ class Layers:
         undecided, draws = np.zeros(codes.shape, np.bool_), ""
         if isinstance(drawn, ToleranceMap):
             draws = f"{drawn.draws:,} draws"
-        else:
+        elif not view.places:
             undecided = (view.arrange(drawn.quality) & QUALITY_UNDECIDED) != 0
         layers = cls(
             title=drawn.title.strip() or "Impact regimes",
@@ -128,13 +129,13 @@ class Layers:
             regions_of=np.array([*range(len(labels)), FAILED_CODE], np.int16),
             boundaries=traced,
             undecided=undecided,
-            unresolved=np.zeros((0, dimensions)) if traced is None else traced.unresolved[:, list(view.keep)],
+            unresolved=np.zeros((0, len(view.axes))) if traced is None else traced.unresolved[:, list(view.keep)],
             values=values,
             value_label=drawn.plot_label(described),
-            facts=(draws,),
+            facts=(f"{codes.size:,} runs" if view.places else draws,),
             caveats=tuple(drawn.caveats),
         )
-        if is_label or dimensions == 1:
+        if len(view.axes) == 1 or is_label:
             layers = layers._grouped(most)
             return layers._faded(drawn) if isinstance(drawn, ToleranceMap) else layers
         of_labels = [described.of_label(label) for label in labels]
@@ -147,7 +148,7 @@ class Layers:
                 layers = replace(layers, undecided=np.zeros_like(undecided))
             fact = f"{'whether' if described.type == YES_NO else 'numbers:'} {described.heading}"
             return layers._regrouped(np.array(of_labels) if by_label else whole, layers._looks_of(whole), fact)
-        if len(view.axes) > 1:
+        if not view.places:
             lines = f"{'light' if layers.has_light_lines else 'dark'} lines: boundaries of the "
             layers = replace(layers, facts=(draws, lines + ("most likely regimes" if draws else "regimes")))
         return replace(layers._grouped(most), shaded=True, undecided=np.zeros_like(undecided))
@@ -208,6 +209,11 @@ class Layers:
         at = np.nonzero(self.undecided)
         cells = [axis.values[k] for axis, k in zip(self.view.axes, at, strict=True)]
         return np.vstack([np.column_stack(cells), self.unresolved])
+
+    @property
+    def places(self) -> tuple[Floats, ...]:
+        """Coordinates of points, x and y; over one axis y is the quantity. None of a grid."""
+        return (*self.view.places, self.values)[:2] if self.view.places else ()
 
     @property
     def has_light_lines(self) -> bool:

@@ -22,8 +22,7 @@ from clunk.analysis.marks import ridge_of
 from clunk.plot.labelling import Raster, write_beside, write_names
 from clunk.plot.layers import MOST_LABELS, Layers, hardness
 from clunk.plot.plane import (
-    USUAL,
-    axis_label,
+    View,
     cell_edges,
     drawn_axes,
     fixed_parameters,
@@ -56,10 +55,9 @@ from clunk.plot.style import (
     tidy,
 )
 from clunk.results.labels import FAILED
-from clunk.results.maps import AnyMap, Results, ToleranceMap
-from clunk.results.quantities import LABEL, NUMBER, TEXT, WHOLE, YES_NO, quantity_of
+from clunk.results.maps import AnyMap, ToleranceMap
+from clunk.results.quantities import NUMBER, WHOLE, YES_NO, quantity_of
 from clunk.study.arrays import Floats
-from clunk.study.axes import RUN, ResultAxis
 
 _POINT = 6.5  # points, diameter of a measured point
 _POINT_LOOKS: dict[bool, tuple[str, Look]] = {  # of points that agree, and that do not
@@ -72,7 +70,6 @@ MOST_VALUES = (12, 4)  # of one facet, of each of two
 _DOUBT: Look = {"linestyle": "none", "marker": "o", "color": INK, "alpha": 0.45, "markeredgewidth": 0.0}
 _MAP = 330.0  # points, width of a map
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
-_WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
 _VANISHING = 0.02  # of the backlash axis, within which it has to begin at zero to show where backlash vanishes
 _NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
 _AROUND = (0.9, 1.3)  # inches, for their axes and titles
@@ -102,14 +99,12 @@ def draw(
     Raises PlotError, and ClunkError where there is no such quantity.
     """
     quantity = quantity_of(quantity, drawn).name
-    parameters = _plane(drawn, facets, x, y)
     if facets:
-        return facet_map(drawn, facets, quantity)
-    if isinstance(drawn, Results) and _has_runs(drawn):
-        return scatter(drawn, quantity, *parameters)
-    if len(parameters) > 1:
-        return map_figure([Layers.of(drawn, 2, quantity)], thresholds=thresholds)
-    return strip(drawn, quantity)
+        return facet_map(drawn, facets, quantity, x, y)
+    layers = Layers.of(drawn, View.of(drawn, x, y), quantity)
+    if layers.places or len(layers.view.axes) > 1:
+        return map_figure([layers], thresholds=thresholds)
+    return strip(layers)
 
 
 def default_quantities(
@@ -121,30 +116,7 @@ def default_quantities(
     tolerance map how probable double-sided impacts are, too.
     """
     names = ["regimes", *["double_sided"] * isinstance(drawn, ToleranceMap), hardness(drawn)]
-    return list(dict.fromkeys(names)) if len(_plane(drawn, facets, x, y)) > 1 else names[-1:]
-
-
-def _plane(drawn: AnyMap, facets: Sequence[str], x: str | None, y: str | None) -> list[str]:
-    """The parameters that a figure is drawn over, from left to right and upwards; one where a quantity is upwards."""
-    swept = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
-    if facets or not _has_runs(drawn):
-        if x is not None or y is not None:
-            raise PlotError(
-                "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or "
-                "else the first is x."
-            )
-        return swept
-    if x is None and y is not None:
-        raise PlotError("y goes with x, which is missing.")
-    if x is not None:
-        return [x] if y is None else [x, y]
-    coordinates = sorted((axis.parameter for axis in drawn.coordinates), key=lambda name: name not in USUAL)
-    return [*(name for name in swept if name != RUN), *coordinates][:2]
-
-
-def _has_runs(drawn: AnyMap) -> bool:
-    """Whether there are several runs, of a sample or of axes that are walked together."""
-    return any(axis.parameter == RUN and len(axis.values) > 1 for axis in drawn.axes)
+    return list(dict.fromkeys(names)) if facets or len(View.of(drawn, x, y).axes) > 1 else names[-1:]
 
 
 @styled()
@@ -156,7 +128,7 @@ def map_figure(
     columns: int = 0,
     thresholds: Sequence[float] = (),
 ) -> Figure:
-    """Maps over the same two axes with the same colours: regions with their names (Figure 3.4), or a quantity (3.7).
+    """Maps over the same axes with the same colours: named regions (Figure 3.4), a quantity (Figure 3.7), or points.
 
     Of how hard impacts are a single map also has the ridge: the backlash at which it is worst for each load ratio.
 
@@ -164,7 +136,7 @@ def map_figure(
     line : under the title, by default the subtitle of the only map
     columns : of panels, by default by their number
     thresholds : values of the x axis at which the number of impacts for vanishing backlash changes (report §3.2),
-        marked where x is the load ratio or a load torque and y the backlash from zero on
+        marked where y is the backlash from zero on
     """
     first, is_single = panels[0], len(panels) == 1
     columns = columns or (2 if len(panels) == 4 else min(len(panels), 3))
@@ -174,18 +146,22 @@ def map_figure(
     figure, axes = new_panels(len(panels), columns, size)
     shades = shades_of(panels) if first.shaded else None
     scale_panels(figure, axes, first.view.axes)
+    if len(first.view.axes) == 1:
+        axes[0].set_ylabel(first.value_label)
     for ax, name in zip(axes, names, strict=False):
         ax.set_title(name, loc="left", fontsize=9.0)
     if shades is not None:
         add_bar(figure, axes, shades, first)
+    for ax, layers in zip(axes, panels, strict=True):
+        _paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
     lay_out(figure, axes[0], first.title, line or first.subtitle())
     notes: list[Artist] = []
     for ax, layers in zip(axes, panels, strict=True):
-        _paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
         notes += _write_on_map(ax, layers, is_single=is_single)
-    if is_single and shades is None:
+    is_map = is_single and not first.places
+    if is_map and shades is None:
         _mark_thresholds(axes[0], first, thresholds)
-    elif is_single and first.quantity.type == NUMBER and first.quantity.name not in _WITHOUT_RIDGE:
+    elif is_map and first.quantity.type == NUMBER and first.quantity.name not in _WITHOUT_RIDGE:
         _draw_ridge(axes[0], first)
     for ax in axes:
         notes += ax.get_legend_handles_labels()[0]
@@ -193,7 +169,9 @@ def map_figure(
     return figure
 
 
-def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> Figure:
+def facet_map(
+    results: AnyMap, facets: Sequence[str], quantity: str, x: str | None = None, y: str | None = None
+) -> Figure:
     """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
 
     Of many values evenly spaced ones are drawn. Raises PlotError where a facet is no axis of several
@@ -211,7 +189,8 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
         values.append(np.sort(axis.values)[np.rint(np.linspace(0, len(axis.values) - 1, count)).astype(np.intp)])
     places = list(product(*values))
     most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
-    panels = [Layers.of(results.at(dict(zip(facets, place, strict=True))), 2, quantity, most) for place in places]
+    parts = [results.at(dict(zip(facets, place, strict=True))) for place in places]
+    panels = [Layers.of(part, View.of_plane(part, x, y), quantity, most) for part in parts]
     names = [
         "\n".join(symbol_text(value_text(axis, value, symbol=True)) for axis, value in zip(axes, place, strict=True))
         for place in places
@@ -225,14 +204,9 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
 
 
 @styled()
-def strip(drawn: AnyMap, quantity: str = LABEL) -> Figure:
-    """The labels along one swept axis as a coloured strip over the curve of a quantity; the most likely ones of draws.
-
-    quantity : of labels how hard the impacts are
-
-    Raises PlotError unless one axis was swept and the quantity is defined in some cell.
-    """
-    layers = replace(Layers.of(drawn, 1, _upward(drawn, quantity)), notes=())
+def strip(layers: Layers) -> Figure:
+    """The labels along one swept axis, of draws the most likely ones, as a coloured strip over a quantity's curve."""
+    layers = replace(layers, notes=())
     samples, values, (edges, codes) = layers.view.x.values, layers.values, layers.bands
     figure = new_figure()
     band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
@@ -256,71 +230,6 @@ def strip(drawn: AnyMap, quantity: str = LABEL) -> Figure:
     notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names, _SIZES[True][0]))
     add_notes(figure, notes)
     return figure
-
-
-@styled()
-def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Figure:
-    """Every run as a point over two parameters, in the colour of its label or of a quantity.
-
-    Without y the quantity is upwards, of labels how hard the impacts are, and each point in the colour of its label.
-
-    Raises PlotError where x or y is not swept, points would lie on each other, or the quantity is defined nowhere.
-    """
-    layers = regimes = Layers.of(results, 0, quantity if y is not None else _upward(results, quantity))
-    axes = _axes_of_points(results, [x] if y is None else [x, y])
-    figure = new_figure()
-    ax = figure.add_subplot()
-    for which, (axis, _) in zip("xy", axes, strict=False):
-        ax.set(**{f"{which}label": axis_label(axis)})
-    places = [values for _, values in axes]
-    if y is None:
-        places.append(layers.values)
-        ax.set_ylabel(layers.value_label)
-        regimes = Layers.of(results, 0)
-    shades = shades_of([layers]) if regimes.shaded else None
-    if shades is not None:
-        add_bar(figure, [ax], shades, layers)
-    colours = cell_colours(regimes, shades) / 255.0
-    count = len(colours)
-    look: Look = {"edgecolors": INK, "linewidths": 0.2, "rasterized": count > MOST_POINTS}
-    across, upward = places
-    ax.scatter(across, upward, max(2.0, 40.0 - 0.1 * count), colours, **look)
-    ax.margins(0.03)
-    ax.grid(color="0.92", linewidth=0.6)
-    ax.set_axisbelow(True)
-    notes = notes_of(regimes, regimes.names)
-    lay_out(figure, ax, regimes.title, regimes.subtitle(f"{count:,} runs"), notes)
-    return figure
-
-
-def _upward(drawn: AnyMap, quantity: str) -> str:
-    """The quantity that a curve or points have upwards: of labels, which are its colours, how hard the impacts are."""
-    return hardness(drawn) if quantity_of(quantity, drawn).type == TEXT else quantity
-
-
-def _axes_of_points(results: Results, names: Sequence[str]) -> list[tuple[ResultAxis, Floats]]:
-    """The axis of each of one or two parameters, and its value in every cell, in C order.
-
-    Raises PlotError where one does not change, or cells that differ in a dimension that is not drawn would lie on each
-    other.
-    """
-    dimensions = [axis.parameter for axis in results.axes]
-    changing = {axis.parameter: axis for axis in (*results.parameters, *results.axes) if len(axis.values) > 1}
-    if len(set(names)) < len(names):
-        raise PlotError(f"x and y are both {names[0]}; name two parameters.")
-    for name in names:
-        if name not in changing:
-            raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
-    along = [name if name in dimensions else RUN for name in names]
-    shown = {*along, RUN} if len(names) == 1 else {*along}
-    if hidden := [name for name in map(dimensions.__getitem__, drawn_axes(results)) if name not in shown]:
-        raise PlotError(
-            f"Points that differ in {' and '.join(hidden)} would lie on each other: choose one value (--at), or draw a "
-            "map for each (--facet)."
-        )
-    cells = np.indices(results.shape)
-    places = [changing[name].values[cells[dimensions.index(at)]].ravel() for name, at in zip(names, along, strict=True)]
-    return [(changing[name], values) for name, values in zip(names, places, strict=True)]
 
 
 def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
@@ -352,6 +261,17 @@ def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
 
 def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: float) -> None:
     """Fill the regions, or the cells with a quantity's colours, and draw lines and marks."""
+    if layers.places:
+        colours = cell_colours(layers, shades) / 255.0
+        count = len(colours)
+        points: Look = {"edgecolors": INK, "linewidths": 0.2, "rasterized": count > MOST_POINTS}
+        across, upward = layers.places
+        ax.scatter(across, upward, s=max(2.0, 40.0 - 0.1 * count), c=colours, **points)
+        ax.margins(0.03)
+        ax.autoscale()
+        ax.grid(color="0.92", linewidth=0.6)
+        ax.set_axisbelow(True)
+        return
     if shades is None and layers.paint is None and layers.boundaries is not None:
         _fill_regions(ax, layers)
     else:
@@ -380,8 +300,8 @@ def _fill_regions(ax: Axes, layers: Layers) -> None:
 
 def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
     """Draw the measured points with their labels, and write the regions' names; returns the notes that they need."""
-    if layers.shaded:
-        return notes_of(layers, is_counted=is_single)
+    if layers.shaded or layers.places:
+        return notes_of(layers, () if layers.shaded else layers.names, is_counted=is_single)
     raster, (sizes, size) = Raster.of(ax, layers), _SIZES[is_single]
     for agrees, (gid, marker) in _POINT_LOOKS.items():
         places = [(point.x, point.y) for point in layers.points if point.agrees == agrees]
@@ -408,8 +328,7 @@ def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> N
     low, high = ax.get_xlim()
     bottom, top = ax.get_ylim()
     inside = sorted(value for value in thresholds if low <= value <= high)
-    vanishes = layers.view.y.parameter == "lash.backlash_deg" and bottom <= _VANISHING * top
-    if inside and vanishes and layers.view.x.parameter in _WITH_THRESHOLDS:
+    if inside and layers.view.y.parameter == "lash.backlash_deg" and bottom <= _VANISHING * top:
         values = ", ".join(f"{value:.3g}" for value in inside).replace("-", MINUS)
         look: Look = {"linestyle": "none", "marker": "^", "color": INK, "markersize": 5.5, "clip_on": False}
         look |= {"label": f"vanishing backlash: {values}", "transform": ax.get_xaxis_transform(), "zorder": 6}

@@ -27,38 +27,95 @@ USUAL = (_X, "lash.backlash_deg")  # stay axes of a map where others are fixed
 
 @dataclass(frozen=True)
 class View:
-    """The swept axes of a map, ascending, and the order of its arrays along them."""
+    """The axes that a map is drawn over, ascending, and the order of its arrays along them, or its cells as points.
 
-    axes: tuple[ResultAxis, ...]  # x and, if there are two, y
-    fixed: tuple[ResultAxis, ...]  # parameters with one value
-    keep: tuple[int, ...]
-    order: tuple[Positions, ...]
+    axes : x and, if there are two, y
+    fixed : parameters with one value
+    keep, order : of a grid each axis's dimension in the map, and the order of its values
+    places : of points the value on each axis of every cell, in C order; of a grid none
+    """
+
+    axes: tuple[ResultAxis, ...]
+    fixed: tuple[ResultAxis, ...]
+    keep: tuple[int, ...] = ()
+    order: tuple[Positions, ...] = ()
+    places: tuple[Floats, ...] = ()
 
     @classmethod
-    def of(cls, drawn: Map, dimensions: int) -> View:
-        """The view of a map over this many axes, 0 for its cells as points. Raises PlotError where it has others."""
-        if dimensions == 0:
-            return cls((), fixed_parameters(drawn), (), ())
+    def of(cls, drawn: Map, x: str | None = None, y: str | None = None) -> View:
+        """The view of a grid over its axes, or of the runs of a sample or of axes that are walked together as points.
+
+        x, y : of runs the parameters, by default a grid's axis, load ratio and backlash first; x alone leaves y to a
+            quantity
+
+        Raises PlotError where the map has more axes, or other parameters.
+        """
+        swept = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
+        if not any(axis.parameter == RUN and len(axis.values) > 1 for axis in drawn.axes):
+            if x is not None or y is not None:
+                raise PlotError(
+                    "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio "
+                    "or else the first is x."
+                )
+            return cls.of_grid(drawn)
+        if x is not None:
+            return cls.of_points(drawn, [x] if y is None else [x, y])
+        if y is not None:
+            raise PlotError("y goes with x, which is missing.")
+        coordinates = sorted((axis.parameter for axis in drawn.coordinates), key=lambda name: name not in USUAL)
+        return cls.of_points(drawn, [*(name for name in swept if name != RUN), *coordinates][:2])
+
+    @classmethod
+    def of_plane(cls, drawn: Map, x: str | None = None, y: str | None = None) -> View:
+        """The same over two axes. Raises PlotError where the map has one."""
+        view = cls.of(drawn, x, y)
+        if len(view.axes) < 2:
+            raise PlotError(f"This figure needs two axes and these results sweep one axis ({view.x.parameter}).")
+        return view
+
+    @classmethod
+    def of_grid(cls, drawn: Map) -> View:
+        """The view of a map over its one or two swept axes. Raises PlotError where it has more."""
         keep = drawn_axes(drawn)
         swept = [drawn.axes[index] for index in keep]
-        names = ", ".join(axis.parameter for axis in swept)
         if len(swept) > 2:
+            names = ", ".join(axis.parameter for axis in swept)
             surplus = " and ".join(axis.parameter for axis in parted_axes(swept)[1])
             raise PlotError(
                 f"These results sweep {len(swept)} axes ({names}) and a map shows two: choose one value of {surplus} "
                 "(--at), or draw a map for each (--facet)."
             )
-        if len(swept) != dimensions:
-            needed, present = ("one axis" if count == 1 else "two axes" for count in (dimensions, len(swept)))
-            raise PlotError(f"This figure needs {needed} and these results sweep {present} ({names}).")
-        if dimensions == 2 and RUN in (axis.parameter for axis in swept):
-            raise PlotError(
-                "Runs that are drawn together have no order that a map could show: they are drawn as points over two "
-                "of their parameters, x and y."
-            )
         order = tuple(np.argsort(axis.values, kind="stable") for axis in swept)
         axes = tuple(replace(axis, values=axis.values[at], words=()) for axis, at in zip(swept, order, strict=True))
         return cls(axes, fixed_parameters(drawn), keep, order)
+
+    @classmethod
+    def of_points(cls, drawn: Map, names: Sequence[str]) -> View:
+        """The view of a map's cells as points over one or two of its parameters.
+
+        Raises PlotError where one does not change, or cells that differ in a dimension that is not drawn would lie on
+        each other.
+        """
+        dimensions = [axis.parameter for axis in drawn.axes]
+        changing = {axis.parameter: axis for axis in (*drawn.parameters, *drawn.axes) if len(axis.values) > 1}
+        if len(set(names)) < len(names):
+            raise PlotError(f"x and y are both {names[0]}; name two parameters.")
+        for name in names:
+            if name not in changing:
+                raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
+        along = [name if name in dimensions else RUN for name in names]
+        shown = {*along, RUN} if len(names) == 1 else {*along}
+        if hidden := [name for name in map(dimensions.__getitem__, drawn_axes(drawn)) if name not in shown]:
+            raise PlotError(
+                f"Points that differ in {' and '.join(hidden)} would lie on each other: choose one value (--at), or "
+                "draw a map for each (--facet)."
+            )
+        cells = np.indices(drawn.shape)
+        axes = tuple(replace(changing[name], values=np.sort(changing[name].values), words=()) for name in names)
+        values = (
+            changing[name].values[cells[dimensions.index(at)]].ravel() for name, at in zip(names, along, strict=True)
+        )
+        return cls(axes, fixed_parameters(drawn), places=tuple(values))
 
     @property
     def x(self) -> ResultAxis:
@@ -72,7 +129,7 @@ class View:
 
     def arrange(self, array: Array) -> Array:
         """Turn an array of the results' shape into (nx,) or (nx, ny), ascending; of points into C order."""
-        if not self.keep:
+        if self.places:
             return array.ravel()
         rest = tuple(axis for axis in range(array.ndim) if axis not in self.keep)
         turned = np.transpose(array, (*self.keep, *rest)).reshape([len(order) for order in self.order])
@@ -124,7 +181,7 @@ def cells_of(axis: ResultAxis, at: Floats) -> Positions:
 def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAxis]) -> None:
     """Scale x and y of panels that share them, from the first to the last value; of several they are named once."""
     ax, is_single = panels[0], len(panels) == 1
-    for which, axis in zip("xy", axes, strict=True):
+    for which, axis in zip("xy", axes, strict=False):
         scale_axis(ax, which, axis, 10 if is_single else 5)
         ax.set(**{f"{which}lim": (axis.values[0], axis.values[-1])})
     if not is_single:
