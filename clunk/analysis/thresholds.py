@@ -21,7 +21,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -381,23 +381,31 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     if not thresholds.axes or thresholds.axes[0].parameter != DRAW:
         raise ClunkError("Quantiles are those of drawn drivelines: the config has no [[sweep.tolerances]].")
     check_quantiles(quantiles)
-    draws, axis_ends = len(thresholds.axes[0].values), thresholds.along.values[[0, -1]]
+    draws = len(thresholds.axes[0].values)
     cells = thresholds.lowest.size // draws
     needed = [math.ceil(quantile * draws - 1e-9) for quantile in quantiles]
     lowest, columns = [], []
     for cell in range(cells):
-        of_cell = thresholds.cell % cells == cell
-        edges, first = np.unique(np.append(axis_ends, thresholds.value[of_cell]), return_index=True)
-        off = np.append([0.0, 0.0], thresholds.off[of_cell])[first]
-        counts = _counts(thresholds, range(cell, thresholds.lowest.size, cells), 0.5 * (edges[1:] + edges[:-1]))
+        at = np.flatnonzero(thresholds.cell % cells == cell)
+        at = at[np.argsort(thresholds.value[at])]
+        # number of draws with each outcome, the last of failed runs, in each interval between any draw's thresholds
+        counts = np.zeros((at.size + 1, len(thresholds.words) + 1), np.int64)
+        np.add.at(counts[0], thresholds.lowest[cell::cells], 1)
+        counts[np.arange(at.size) + 1, thresholds.above[at]] += 1
+        counts[np.arange(at.size) + 1, thresholds.below[at]] -= 1
+        counts = counts.cumsum(axis=0)
+        is_last = np.diff(thresholds.value[at], append=np.inf) > 0.0  # of the draws that change at the same value
+        at, counts = at[is_last], counts[np.append(True, is_last)]
         likely = counts.argmax(axis=1)
         codes = np.where(likely == len(thresholds.words), FAILED_CODE, likely)
         for k, count in enumerate(needed):
             certain = np.where(counts.max(axis=1) >= count, codes, UNCERTAIN_CODE)
-            at = np.flatnonzero(certain[1:] != certain[:-1]) + 1
+            change = np.flatnonzero(certain[1:] != certain[:-1])
             lowest.append(certain[0])
-            place = np.full(at.size, cell * len(needed) + k)
-            columns.append((place, edges[at], off[at], certain[at - 1], certain[at]))
+            place, changing = np.full(change.size, cell * len(needed) + k), at[change]
+            columns.append(
+                (place, thresholds.value[changing], thresholds.off[changing], certain[change], certain[change + 1])
+            )
     axis = ResultAxis(QUANTILE, np.array(quantiles, np.float64), "share of the draws", "", "1")
     place, value, off, below, above = map(np.concatenate, zip(*columns, strict=True))
     return replace(
@@ -410,16 +418,3 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
         below=below,
         above=above,
     )
-
-
-def _counts(thresholds: Thresholds, drawn: Iterable[int], values: Floats) -> Codes:
-    """Number of draws with each outcome at some values of the key, (m, words + 1); the last is of failed runs.
-
-    drawn : cells of the draws
-    """
-    counts = np.zeros((values.size, len(thresholds.words) + 1), np.int64)
-    for cell in drawn:
-        of_draw = thresholds.cell == cell
-        codes = np.append(thresholds.lowest[cell], thresholds.above[of_draw])
-        counts[np.arange(values.size), codes[np.searchsorted(thresholds.value[of_draw], values)]] += 1
-    return counts

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,15 +97,11 @@ def thresholds(
     from clunk.results.files import write_text
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
-    from clunk.study.models import lash_position
 
     study = load_study(config, overrides)
     _, axes = analysis.axes_of(study, along)
     if at:
         study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], (), at))
-        _, axes = analysis.axes_of(study, along)
-    analysis.parse(outcome, study)
-    lash_position(options["lash"], study.lash_names)
     is_toleranced = has_tolerances(study)
     if quantiles and not is_toleranced:
         raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")
@@ -118,21 +113,17 @@ def thresholds(
     if is_picture:
         from clunk.plot import analyses as plot
 
-        plot.other_axis(axes)
-    terminal.warm_up(study)
-    began = time.perf_counter()
+        plot.other_axis(analysis.axes_of(study, along)[1])
+    terminal.warn_of_coarse_step(study, study.solver.method)
     located = analysis.thresholds(study, along=along, of=outcome, progress=True, **options)
-    seconds = time.perf_counter() - began
     result = threshold_quantiles(located, shares) if is_toleranced else located
     if as_json:
         tables.print_record(result.cells())
     else:
         print_thresholds(result)
-    drawn = len(axes[0].values) if is_toleranced else 1
-    cells = counted(located.lowest.size // drawn, "cell") + (f" x {drawn:,} draws" if is_toleranced else "")
-    click.echo(
-        f"{counted(located.value.size, 'threshold')} in {cells}, {located.runs:,} runs, {seconds:.1f} s", err=True
-    )
+    cells = "drawn cell" if is_toleranced else "cell"
+    found = f"{counted(located.value.size, 'threshold')} in {counted(located.lowest.size, cells)}"
+    click.echo(f"{found}, {located.runs:,} runs", err=True)
     if output is not None and is_picture:
         if is_toleranced:
             undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, **options)
