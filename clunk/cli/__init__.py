@@ -1,6 +1,6 @@
 """The command line: parse, call the library, print. Data goes to stdout, everything else to stderr.
 
-Each command is a module of its own, imported when it is asked for; what it needs of the library is imported inside it,
+A command's module is imported when it is asked for; what it needs of the library is imported inside it,
 so that `--help` and `--version` wait for neither numba nor matplotlib.
 """
 
@@ -26,7 +26,8 @@ _COMMANDS = (
     *("compare", "fit", "verify", "sensitivity", "thresholds", "optimize", "reproduce"),
 )
 
-_MODULES = {"verify": "compare"}  # of commands that share one; others have their own, of the same name
+# Modules of commands that share one; others have their own, of the same name.
+_MODULES = {"verify": "compare", **dict.fromkeys(("fit", "optimize", "sensitivity", "thresholds"), "analyses")}
 
 
 class _Commands(click.Group):

@@ -1,0 +1,352 @@
+"""Commands that analyse a study: `fit`, `optimize`, `sensitivity` and `thresholds`."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clunk.cli import completion, tables, terminal
+from clunk.cli.options import (
+    EXIT_FAILED_CELLS,
+    PATH,
+    at_option,
+    cell_values,
+    json_option,
+    lash_option,
+    nearest_values,
+    set_option,
+    workers_option,
+)
+from clunk.study.errors import ClunkError
+from clunk.study.records import counted, fill, number
+
+if TYPE_CHECKING:
+    from clunk.analysis.thresholds import Thresholds
+
+
+@click.command()
+@click.argument("config", type=PATH)
+@click.argument("measurements", type=PATH)
+@set_option
+@click.option("--plot", "picture", type=PATH, help="Also draw maps, ensemble and probabilities: .png .svg .pdf.")
+@click.option("--write", "fitted_config", type=PATH, help="Also write the fitted config (.toml), to be swept.")
+@click.option("--tolerances", type=click.IntRange(1), help="With --write: so many draws of the ensemble as tolerances.")
+@lash_option
+@workers_option
+@json_option
+def fit(
+    config: Path,
+    measurements: Path,
+    overrides: tuple[str, ...],
+    picture: Path | None,
+    fitted_config: Path | None,
+    tolerances: int | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Fit parameters of a driveline to measured labels.
+
+    The parameters are the [[fit.parameters]] of CONFIG, the MEASUREMENTS a CSV file as clunk compare reads it, or
+    table_4_1. Prints how many labels are met, each parameter's estimate and interval, what the data leave undetermined,
+    and how many labels are predicted from the other measurements.
+
+    \b
+    Example:
+      clunk fit configs/fit_table_4_1.toml table_4_1 --plot rig.png \\
+          --write rig.toml
+    """
+    if tolerances is not None and fitted_config is None:
+        raise click.UsageError("--tolerances goes with --write.")
+    import clunk
+    from clunk.results import files
+    from clunk.results.files import write_text
+    from clunk.study.study import to_toml
+
+    study = clunk.load_study(config, overrides)
+    if picture is not None:
+        files.check(picture, files.PICTURES)
+    if fitted_config is not None:
+        files.check(fitted_config, (".toml",), reads=config)
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    fitted = clunk.fit(study, measurements, progress=True, **options)
+    tables.tell(fitted, as_json)
+    if fitted_config is not None:
+        comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"
+        write_text(fitted_config, comment + to_toml(clunk.fitted_study(fitted, tolerances or 0)))
+        terminal.say_written(fitted_config)
+    if picture is not None:
+        from clunk.plot.analyses import FIGURES
+
+        for name, figure_of in FIGURES.items():
+            try:
+                terminal.save_picture(figure_of(fitted), picture.with_name(f"{picture.stem}-{name}{picture.suffix}"))
+            except ClunkError as error:  # no map of other than two measured parameters
+                terminal.complain(f"note: {error}")
+    for sentence in fitted.warnings:
+        terminal.complain(f"warning: {sentence}")
+
+
+@click.command()
+@click.argument("config", type=PATH)
+@set_option
+@click.option("-o", "--output", type=PATH, help="Also write the config with the best values (.toml).")
+@click.option("--front", "traded", metavar="QUANTITY", help="The least value for bounds on a quantity, too.")
+@click.option("--plot", "picture", type=PATH, help="Draw the run before and after, or the front: .png .svg .pdf.")
+@lash_option
+@workers_option
+@json_option
+def optimize(
+    config: Path,
+    overrides: tuple[str, ...],
+    output: Path | None,
+    traded: str | None,
+    picture: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Find the values of keys that make a quantity least.
+
+    What is minimised, what must hold and which keys are free stands in [optimize] of CONFIG. With --front each point of
+    the trade-off is a config, FILE-1.toml and so on.
+
+    \b
+    Examples:
+      clunk optimize configs/shaped_release.toml -o best.toml
+      clunk optimize configs/car_release.toml --front severity --plot front.png
+    """
+    from clunk.analysis import optimisation
+    from clunk.results import files
+    from clunk.results.files import write_text
+    from clunk.simulation.history import sample
+    from clunk.simulation.trajectory import simulate
+    from clunk.study.config import load_study
+    from clunk.study.study import to_toml
+
+    study = load_study(config, overrides)
+    for path, suffixes in ((output, (".toml",)), (picture, files.PICTURES)):
+        if path is not None:
+            files.check(path, suffixes, reads=config)
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    options["progress"] = True
+    try:
+        found = optimisation.front(study, traded, **options) if traded else optimisation.optimize(study, **options)
+    except KeyboardInterrupt as stopped:
+        for best in stopped.args:
+            tables.tell(best, as_json)
+        raise
+    tables.tell(found, as_json)
+    points = found.points if isinstance(found, optimisation.Front) else (found,)
+    for k, best in enumerate(points, 1):
+        if output is not None:
+            path = output.with_stem(f"{output.stem}-{k}") if traded else output
+            write_text(path, to_toml(best.study))
+            terminal.say_written(path)
+    if picture is not None:
+        from clunk.plot import analyses, histories
+
+        if isinstance(found, optimisation.Front):
+            figure = analyses.trade_off(found)
+        else:
+            runs = {"as it is": study, "best": found.study}
+            figure = histories.history_figure(
+                [sample(simulate(each.model_copy(update={"sweep": None})), name=name) for name, each in runs.items()]
+            )
+        terminal.save_picture(figure, picture)
+
+
+@click.command()
+@click.argument("config", type=PATH)
+@set_option
+@at_option
+@click.option(
+    "--of",
+    "quantities",
+    multiple=True,
+    metavar="QUANTITY",
+    help="severity, approach_velocity, primary_impacts, touches, last_event_time, severity<=8000, nominal_label, "
+    "double_sided, chatter or label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
+)
+@lash_option
+@workers_option
+@click.option("-o", "--output", type=PATH, help="Also draw the indices: .png .svg .pdf.")
+@json_option
+def sensitivity(
+    config: Path,
+    overrides: tuple[str, ...],
+    at: tuple[str, ...],
+    quantities: tuple[str, ...],
+    output: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Tell from which tolerances the spread of an outcome comes.
+
+    Takes the tolerances of CONFIG at one operating point. Prints first-order and total Sobol indices, from n (d + 2)
+    runs for d tolerances; n is sweep.sampling.count, a power of two.
+
+    \b
+    Examples:
+      clunk sensitivity tolerances.toml --set sweep.sampling.count=4096
+      clunk sensitivity tolerances.toml --of severity --of double_sided \\
+          -o bars.png
+    """
+    from clunk.analysis import sobol
+    from clunk.results import files
+    from clunk.study.config import load_study
+    from clunk.study.study import replace_values
+
+    study = load_study(config, overrides)
+    if output is not None:
+        files.check(output, files.PICTURES, reads=config)
+    point = sobol.operating_point(replace_values(study, cell_values(study, at, all_needed=False)))
+    terminal.warm_up(point, "drawn")
+    result = sobol.sensitivity(point, of=quantities, progress=True, **options)
+    tables.tell(result, as_json)
+    if output is not None:
+        from clunk.plot.analyses import sobol_bars
+
+        terminal.save_picture(sobol_bars(result), output)
+
+
+def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, ...] | None:
+    """Numbers separated by commas."""
+    try:
+        return None if text is None else tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no list of numbers such as 0.5,0.95.") from None
+
+
+@click.command()
+@click.argument("config", type=PATH)
+@click.option(
+    "--along",
+    required=True,
+    metavar="KEY",
+    shell_complete=completion.swept,
+    help="The axis of CONFIG along which they are looked for.",
+)
+@click.option(
+    "--of",
+    "outcome",
+    default="label",
+    metavar="OUTCOME",
+    help="label, double_sided, chatter, label=DS(2), touches, primary_impacts, severity<=8000, approach_velocity<10, "
+    "last_event_time<=0.5 and the like [label].",
+)
+@click.option(
+    "--quantiles",
+    metavar="SHARES",
+    callback=_numbers,
+    help="With tolerances: shares of the draws that have the same outcome, from 0.5 to 1 [0.5,0.95].",
+)
+@lash_option
+@set_option
+@at_option
+@workers_option
+@click.option("-o", "--output", type=PATH, help="Data (.csv .json), or a picture (.png .svg .pdf).")
+@json_option
+def thresholds(
+    config: Path,
+    along: str,
+    outcome: str,
+    quantiles: tuple[float, ...] | None,
+    overrides: tuple[str, ...],
+    at: tuple[str, ...],
+    output: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Locate the values of a key at which an outcome changes.
+
+    Finds all of them, to 1e-9 of the key's axis, for every cell of CONFIG's other axes or where --at says, with the
+    outcomes below and above each. With [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the
+    drawn drivelines.
+
+    \b
+    Examples:
+      clunk thresholds configs/shortest_ramp.toml --along load.duration \\
+          --of double_sided
+      clunk thresholds configs/largest_lash.toml --along lash.backlash_deg \\
+          --of 'severity<=8000' -o lash.png
+      clunk thresholds configs/tolerant_ramp.toml --along load.duration \\
+          --of double_sided --quantiles 0.5,0.95,0.99
+    """
+    from clunk.analysis import thresholds as analysis
+    from clunk.analysis.thresholds import check_quantiles, threshold_quantiles
+    from clunk.results import files
+    from clunk.results.files import write_text
+    from clunk.study.config import load_study
+    from clunk.study.designs import has_tolerances, nominal, with_axes_at
+
+    study = load_study(config, overrides)
+    _, axes = analysis.axes_of(study, along)
+    if at:
+        study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], (), at))
+    is_toleranced = has_tolerances(study)
+    if quantiles and not is_toleranced:
+        raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")
+    shares = quantiles or (0.5, 0.95)
+    check_quantiles(shares)
+    is_picture = output is not None and output.suffix.lower() in files.PICTURES
+    if output is not None:
+        files.check(output, (".csv", ".json", *files.PICTURES), reads=config)
+    if is_picture:
+        from clunk.plot import analyses as plot
+
+        plot.other_axis(analysis.axes_of(study, along)[1])
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    located = analysis.thresholds(study, along=along, of=outcome, progress=True, **options)
+    result = threshold_quantiles(located, shares) if is_toleranced else located
+    if as_json:
+        tables.print_record(result.cells())
+    else:
+        print_thresholds(result)
+    cells = "drawn cell" if is_toleranced else "cell"
+    found = f"{counted(located.value.size, 'threshold')} in {counted(located.lowest.size, cells)}"
+    click.echo(f"{found}, {located.runs:,} runs", err=True)
+    if output is not None and is_picture:
+        if is_toleranced:
+            undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, **options)
+            figure = plot.threshold_figure(result, undrawn)
+        else:
+            figure = plot.threshold_figure(located)
+        terminal.save_picture(figure, output)
+    elif output is not None:
+        is_csv = output.suffix.lower() == ".csv"
+        text = result.csv() if is_csv else json.dumps(result.cells(), ensure_ascii=False) + "\n"
+        write_text(output, text)
+        terminal.say_written(output)
+    if places := located.unresolved:
+        cell, begin, end = places[0]
+        where = "".join(f", {key} = {number(value)}" for key, value in located.at(cell).items())
+        terminal.complain(
+            f"note: in {counted(len(places), 'place')} {located.outcome.words} changes too often along {along} to be "
+            f"followed; the first is from {begin:.10g} to {end:.10g}{where}"
+        )
+    for status, count in located.failures.items():
+        terminal.complain(f"{count:,} runs failed: {status.sentence}")
+    if located.failures:
+        sys.exit(EXIT_FAILED_CELLS)
+
+
+def print_thresholds(result: Thresholds) -> None:
+    """Print a row for each threshold, with its value and the outcomes below and above."""
+    from clunk.results.quantities import YES_NO
+
+    along = result.along
+    unit = "" if along.unit == "1" else f" [{along.unit}]"
+    what = f"{'whether ' if result.outcome.type == YES_NO else ''}{result.outcome.heading_with_unit}"
+    what += f" of {result.lash}" if result.lash else ""
+    click.echo(fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
+    if not result.value.size:
+        words = " or ".join(sorted({row["below"] for row in result.rows()}))
+        click.echo(f"none, it never changes along {along.parameter}: {words}")
+        return
+    values = [math.nan if row[along.parameter] is None else row[along.parameter] for row in result.rows()]
+    rows = [row | {along.parameter: number(value, ".10g")} for row, value in zip(result.rows(), values, strict=True)]
+    tables.print_table(rows)
