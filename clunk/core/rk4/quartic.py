@@ -5,32 +5,29 @@ state (the gap, the contact force, an acceleration) is a quartic p(s) = c0 + c1 
 step's length. Finding an event is finding a zero of p, without integrating anything again.
 """
 
-import numpy as np
-import numpy.typing as npt
-
 from clunk.core.jit import part
 
-FloatArray = npt.NDArray[np.float64]
+Quartic = tuple[float, float, float, float, float]  # c0 to c4
 
 
 @part
-def evaluate(c0: float, c1: float, c2: float, c3: float, c4: float, s: float) -> float:
+def evaluate(p: Quartic, s: float) -> float:
     """p(s) by Horner's rule."""
-    return c0 + s * (c1 + s * (c2 + s * (c3 + s * c4)))
+    return p[0] + s * (p[1] + s * (p[2] + s * (p[3] + s * p[4])))
 
 
 @part
-def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, high: float) -> float:
+def bisect(p: Quartic, low: float, high: float) -> float:
     """Bisect a sign change of p between `low` and `high` down to neighbouring floating-point numbers.
 
     Returns the end on `low`'s side: p has not changed sign yet there.
     """
-    negative = evaluate(c0, c1, c2, c3, c4, high) < 0.0
+    negative = evaluate(p, high) < 0.0
     for _ in range(1100):  # halving reaches neighbours in about 60 steps; a zero at `low` = 0 takes down to denormals
         middle = 0.5 * (low + high)
         if middle <= low or middle >= high:
             break
-        if (evaluate(c0, c1, c2, c3, c4, middle) < 0.0) == negative:
+        if (evaluate(p, middle) < 0.0) == negative:
             high = middle
         else:
             low = middle
@@ -40,27 +37,27 @@ def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, hi
 
 
 @part
-def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[float, float, float]:
+def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
     The zeros of p'' in closed form cut p' into monotone pieces, each with at most one zero. One that there
     is not is the one before, or 0.
     """
-    d2, d3, d4 = 2.0 * c2, 3.0 * c3, 4.0 * c4  # p' = c1 + d2 s + d3 s^2 + d4 s^3
-    if abs(c1) > length * (abs(d2) + length * (abs(d3) + length * abs(d4))):
+    slope = p[1], 2.0 * p[2], 3.0 * p[3], 4.0 * p[4], 0.0
+    if abs(slope[0]) > length * (abs(slope[1]) + length * (abs(slope[2]) + length * abs(slope[3]))):
         return 0.0, 0.0, 0.0
-    cut1, cut2 = _quadratic_roots(d2, 2.0 * d3, 3.0 * d4, length)
-    s1 = _sign_change(c1, d2, d3, d4, 0.0, cut1, 0.0)
-    s2 = _sign_change(c1, d2, d3, d4, cut1, cut2, s1)
-    return s1, s2, _sign_change(c1, d2, d3, d4, cut2, length, s2)
+    cut1, cut2 = _quadratic_roots(slope[1], 2.0 * slope[2], 3.0 * slope[3], length)
+    s1 = _sign_change(slope, 0.0, cut1, 0.0)
+    s2 = _sign_change(slope, cut1, cut2, s1)
+    return s1, s2, _sign_change(slope, cut2, length, s2)
 
 
 @part
-def _sign_change(c0: float, c1: float, c2: float, c3: float, low: float, high: float, otherwise: float) -> float:
-    """Where a cubic that is monotone between two places changes its sign there."""
-    if high <= low or (evaluate(c0, c1, c2, c3, 0.0, low) < 0.0) == (evaluate(c0, c1, c2, c3, 0.0, high) < 0.0):
+def _sign_change(p: Quartic, low: float, high: float, otherwise: float) -> float:
+    """Where a polynomial that is monotone between two places changes its sign there."""
+    if high <= low or (evaluate(p, low) < 0.0) == (evaluate(p, high) < 0.0):
         return otherwise
-    return bisect(c0, c1, c2, c3, 0.0, low, high)
+    return bisect(p, low, high)
 
 
 @part
@@ -86,28 +83,27 @@ def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[fl
 
 
 @part
-def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> float:
+def first_negative(p: Quartic, length: float) -> float:
     """The first s of [0, length] from which on p is negative, or -1 where there is none."""
-    if c0 < 0.0:
+    if p[0] < 0.0:
         return 0.0
-    if c0 > length * (abs(c1) + length * (abs(c2) + length * (abs(c3) + length * abs(c4)))):
+    if p[0] > length * (abs(p[1]) + length * (abs(p[2]) + length * (abs(p[3]) + length * abs(p[4])))):
         return -1.0
-    s1, s2, s3 = stationary_points(c1, c2, c3, c4, length)
+    s1, s2, s3 = stationary_points(p, length)
     low = 0.0
     for high in (s1, s2, s3, length):
-        if high > low and evaluate(c0, c1, c2, c3, c4, high) < 0.0:
-            return bisect(c0, c1, c2, c3, c4, low, high)
+        if high > low and evaluate(p, high) < 0.0:
+            return bisect(p, low, high)
         low = high
     return -1.0
 
 
 @part
-def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[float, float]:
+def extremes(p: Quartic, length: float) -> tuple[float, float]:
     """The largest and the smallest value of p on [0, length], both ends included."""
-    end = evaluate(c0, c1, c2, c3, c4, length)
-    largest, smallest = max(c0, end), min(c0, end)
-    s1, s2, s3 = stationary_points(c1, c2, c3, c4, length)
-    for s in (s1, s2, s3):
-        value = evaluate(c0, c1, c2, c3, c4, s)
+    end = evaluate(p, length)
+    largest, smallest = max(p[0], end), min(p[0], end)
+    for s in stationary_points(p, length):
+        value = evaluate(p, s)
         largest, smallest = max(largest, value), min(smallest, value)
     return largest, smallest

@@ -227,33 +227,27 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
     row = system.regimes[regime]
     transfer, block, z, after = steps.transfer[row.flow], steps.block[row.flow], room.z, room.after
     columns, outputs, lashes = transfer.shape[0], steps.observe.shape[2], lashes_of(system)
-    width, taken = columns + outputs, 0
+    taken = in_doubt = 0  # steps so far, and up to where they go one by one
     while taken < budget:
-        singly = 1
-        if taken + BLOCK <= budget:
+        count = BLOCK if in_doubt <= taken <= budget - BLOCK else 1
+        if count == BLOCK:
             _advance(block, room.block_affine, z, after)
-            if _clears(room, row.guards, columns, outputs, z, after, BLOCK):
-                for lash in range(lashes):
-                    at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
-                    _watch_block(z, after, at, outputs, extremes[lash])
-                for k in range(columns):
-                    z[k] = after[k]
-                last = (BLOCK - 1) * outputs
-                for k in range(columns, width):
-                    z[k] = after[k + last]
-                taken += BLOCK
-                continue
-            singly = BLOCK
-        for _ in range(singly):
+        else:
             _advance(transfer, room.affine, z, after)
-            if not _clears(room, row.guards, columns, outputs, z, after, 1):
-                return taken
-            for lash in range(lashes):
-                at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
-                _watch(z, after, at, at, extremes[lash])
-            for k in range(width):
-                z[k] = after[k]
-            taken += 1
+        if not _clears(room, row.guards, columns, outputs, z, after, count):
+            if count == 1:
+                break
+            in_doubt = taken + BLOCK
+            continue
+        for lash in range(lashes):
+            at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
+            _watch(z, after, at, outputs, count, extremes[lash])
+        for k in range(columns):
+            z[k] = after[k]
+        last = columns + (count - 1) * outputs
+        for k in range(outputs):
+            z[columns + k] = after[last + k]
+        taken += count
     return taken
 
 
@@ -274,18 +268,18 @@ def _clears(room: Room, guards: int, columns: int, outputs: int, z: FloatArray, 
 
 
 @inlined_part
-def _watch_block(z: FloatArray, after: FloatArray, at: int, outputs: int, extremes: FloatArray) -> None:
-    """Update an acceleration's extremes by a block of steps."""
+def _watch(z: FloatArray, after: FloatArray, at: int, outputs: int, steps: int, extremes: FloatArray) -> None:
+    """Update an acceleration's extremes by the steps from `z` to `after`: in whose bend they may lie, one by one."""
     high, low, bend = z[at], z[at], _bend(z, at)
-    for k in range(BLOCK):
+    for k in range(steps):
         high, low = max(high, after[at + k * outputs]), min(low, after[at + k * outputs])
-        if k + 1 < BLOCK:
+        if k + 1 < steps:
             bend = max(bend, _bend(after, at + k * outputs))
     if high + bend > extremes[0] or low - bend < extremes[1]:
-        _watch(z, after, at, at, extremes)
-        for k in range(BLOCK - 1):
+        _watch_step(z, after, at, at, extremes)
+        for k in range(steps - 1):
             begin = at + k * outputs
-            _watch(after, after, begin, begin + outputs, extremes)
+            _watch_step(after, after, begin, begin + outputs, extremes)
 
 
 @inlined_part
@@ -294,13 +288,13 @@ def _bend(z: FloatArray, at: int) -> float:
 
 
 @inlined_part
-def _watch(before: FloatArray, after: FloatArray, begin: int, end: int, extremes: FloatArray) -> None:
+def _watch_step(before: FloatArray, after: FloatArray, begin: int, end: int, extremes: FloatArray) -> None:
     """Update an acceleration's extremes by one step from `before[begin]` to `after[end]`."""
     a, next_a = before[begin], after[end]
     largest, smallest = max(extremes[0], next_a), min(extremes[1], next_a)
     bend = _bend(before, begin)
     if max(a, next_a) + bend > largest or min(a, next_a) - bend < smallest:
         c2, c3, c4 = before[begin + 1] / BEND[1], before[begin + 2] / BEND[2], before[begin + 3] / BEND[3]
-        high, low = quartic.extremes(a, next_a - a - c2 - c3 - c4, c2, c3, c4, 1.0)
+        high, low = quartic.extremes((a, next_a - a - c2 - c3 - c4, c2, c3, c4), 1.0)
         largest, smallest = max(largest, high), min(smallest, low)
     extremes[0], extremes[1] = largest, smallest

@@ -101,18 +101,16 @@ def first_event(
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
         sign, shift = room.sign[guard], room.shift[guard]
-        c0, c1, c2, c3, c4, scale, of_rate = _quartic(
-            system, system.regimes[regime].flow, system.guards[regime, guard].functional, room
-        )
-        c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
+        p, scale, of_rate = _quartic(system, system.regimes[regime].flow, system.guards[regime, guard].functional, room)
+        p = sign * p[0] + shift, sign * p[1], sign * p[2], sign * p[3], sign * p[4]
         order, rounding = zero_order if guard == zero_guard else 0, ROUNDING * (scale + abs(shift))
         if elements_of(system) > 1:
-            rounding = max(rounding, INSTANT * abs(c1))
-        if order == 0 and abs(c0) <= rounding:
-            order = 1 if abs(c1) > ROUNDING * of_rate else 2
+            rounding = max(rounding, INSTANT * abs(p[1]))
+        if order == 0 and abs(p[0]) <= rounding:
+            order = 1 if abs(p[1]) > ROUNDING * of_rate else 2
         for _ in range(order):
-            c0, c1, c2, c3, c4 = c1, c2, c3, c4, 0.0
-        s = quartic.first_negative(c0, c1, c2, c3, c4, length)
+            p = p[1], p[2], p[3], p[4], 0.0
+        s = quartic.first_negative(p, length)
         if s >= 0.0 and (which < 0 or s < earliest):
             earliest, which = s, guard
     return earliest, which
@@ -122,8 +120,8 @@ def first_event(
 def widen_extremes(system: System, flow: int, room: Room, length: float, extremes: FloatArray) -> None:
     """Update the extremes of each lash's acceleration, (L, 2), by those on the step, both ends included  [rad/s2]."""
     for lash in range(lashes_of(system)):
-        c0, c1, c2, c3, c4, _, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, room)
-        high, low = quartic.extremes(c0, c1, c2, c3, c4, length)
+        p, _, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, room)
+        high, low = quartic.extremes(p, length)
         extremes[lash, 0], extremes[lash, 1] = max(extremes[lash, 0], high), min(extremes[lash, 1], low)
 
 
@@ -132,16 +130,14 @@ def finish(room: Room, s: float, x: FloatArray) -> bool:
     """Set `x` to the state after time `s` of the expanded step; return whether it is finite."""
     taylor, finite = room.taylor, True
     for k in range(x.size):
-        x[k] = quartic.evaluate(taylor[0, k], taylor[1, k], taylor[2, k], taylor[3, k], taylor[4, k], s)
+        x[k] = quartic.evaluate((taylor[0, k], taylor[1, k], taylor[2, k], taylor[3, k], taylor[4, k]), s)
         finite = finite and np.isfinite(x[k])
     return finite
 
 
 @part
-def _quartic(
-    system: System, flow: int, which: int, room: Room
-) -> tuple[float, float, float, float, float, float, float]:
-    """A functional over the step: the coefficients of its quartic, and the terms that make the first two in size."""
+def _quartic(system: System, flow: int, which: int, room: Room) -> tuple[quartic.Quartic, float, float]:
+    """A functional over the step: its quartic, and the terms that make the first two of its coefficients in size."""
     driven, taylor = weigh(system.feedthrough[flow, which], room.weighed, inputs_of(system)), room.taylor
     c0, c1, c2, c3, c4, scale, of_rate = driven, 0.0, 0.0, 0.0, 0.0, abs(driven), 0.0
     for k in range(taylor.shape[1]):
@@ -153,4 +149,4 @@ def _quartic(
         c4 += weight * taylor[4, k]
         scale += abs(weight * taylor[0, k])
         of_rate += abs(weight * taylor[1, k])
-    return c0, c1, c2, c3, c4, scale, of_rate
+    return (c0, c1, c2, c3, c4), scale, of_rate
