@@ -18,15 +18,24 @@ _FITS = 1e-9  # a rate across a lash, relative to those of its ends, that is rou
 
 
 def chain(
-    inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, load: FloatArray, driven: int = INPUTS
+    inertia: FloatArray,
+    damping: FloatArray,
+    stiffness: FloatArray,
+    load: FloatArray,
+    driven: int = INPUTS,
+    wave: int = 0,
 ) -> tuple[FloatArray, FloatArray]:
-    """A and B of M θ'' + C θ' + K θ = b T, where B has `driven` columns; of one driveline, or of each of a batch."""
+    """A and B of M θ'' + C θ' + K θ = b T; of one driveline, or of each of a batch.
+
+    B has `driven` columns. Behind θ and θ' are `wave` states more, of which nothing is told yet.
+    """
     *batch, n = inertia.shape
-    rates, inputs = np.zeros((*batch, 2 * n, 2 * n)), np.zeros((*batch, 2 * n, driven))
-    rates[..., :n, n:] = np.eye(n)
-    rates[..., n:, :n] = -stiffness / inertia[..., None]
-    rates[..., n:, n:] = -damping / inertia[..., None]
-    inputs[..., n:, TORQUE] = load / inertia
+    speeds, states = slice(n, 2 * n), 2 * n + wave
+    rates, inputs = np.zeros((*batch, states, states)), np.zeros((*batch, states, driven))
+    rates[..., :n, speeds] = np.eye(n)
+    rates[..., speeds, :n] = -stiffness / inertia[..., None]
+    rates[..., speeds, speeds] = -damping / inertia[..., None]
+    inputs[..., speeds, TORQUE] = load / inertia
     return rates, inputs
 
 
@@ -47,7 +56,7 @@ def locked(
     basis = constrained(lashes, closed).expand[..., :n, :]
     moves = alike(basis != 0.0, 2)
     for matrix in (rates, inputs):
-        matrix[..., n:, :][..., ~moves.any(axis=1), :] = 0.0  # tied to ground
+        matrix[..., n : 2 * n, :][..., ~moves.any(axis=1), :] = 0.0  # tied to ground
         for k in range(basis.shape[-1] // 2):
             tied = np.flatnonzero(moves[:, k])
             if tied.size > 1:

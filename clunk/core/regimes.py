@@ -295,13 +295,18 @@ def build_system(
     frictions : of Friction
     """
     (*batch, n), count, stride = inertia.shape, len(lashes), functionals_of(lashes)
+    speeds, mechanical, wave = slice(n, 2 * n), 2 * n, 0 if wave_rates is None else 2
     impulsive, constants = lashes[0].restitution is not None, INPUTS + count - 1
     rubbing, twists = constants + len(staged), np.stack([lash.twist for lash in lashes], axis=-2)
     driven, every = rubbing + OF_FRICTION * len(frictions), list(chains)
-    mobility = (twists**2 / inertia[..., None, :]).sum(axis=-1)
-    impulse, passed = _impacts(inertia, twists, mobility, 2**count if impulsive and count > 1 else 1)
-
+    impulse, passed = _impacts(inertia, twists, 2**count if impulsive and count > 1 else 1)
     tied = np.concatenate([twists, *(friction.twist[..., None, :] for friction in frictions)], axis=-2)
+
+    def by_speeds(array: FloatArray) -> FloatArray:
+        """Rows that multiply θ, (…, n), as rows of θ' among all states."""
+        rows = np.zeros((*array.shape[:-1], mechanical + wave))
+        rows[..., speeds] = array
+        return rows
 
     def locked_in(active: FlowOf, rates: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A and B with the constraints of a flow: rigid flanks in contact, and frictions that stick."""
@@ -310,28 +315,28 @@ def build_system(
 
     @functools.cache
     def flow_of(active: FlowOf) -> tuple[FloatArray, FloatArray]:
-        rates, inputs = chain(inertia, *chains[active], load, driven)
+        rates, inputs = chain(inertia, *chains[active], load, driven, wave)
         for k, lash in enumerate(lashes):
             if active.closed[k] and not impulsive:
-                inputs[..., n:, half_gap_of(k)] = np.asarray(lash.stiffness)[..., None] * lash.twist / inertia
+                inputs[..., speeds, half_gap_of(k)] = np.asarray(lash.stiffness)[..., None] * lash.twist / inertia
         for k, shaft in enumerate(staged, constants):
-            inputs[..., n:, k] = -shaft.twist / inertia
+            inputs[..., speeds, k] = -shaft.twist / inertia
         for k, friction in enumerate(frictions):
-            inputs[..., n:, rubbing + OF_FRICTION * k] = -friction.twist / inertia
+            inputs[..., speeds, rubbing + OF_FRICTION * k] = -friction.twist / inertia
         return locked_in(active, rates, inputs)
 
     rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, every), strict=True))
     first_rate = count * stride + len(staged)
-    functionals = np.zeros((*batch, len(every), first_rate + OF_FRICTION * len(frictions), 2 * n))
+    functionals = np.zeros((*batch, len(every), first_rate + OF_FRICTION * len(frictions), mechanical + wave))
     feedthrough = np.zeros((*functionals.shape[:-1], driven))
 
     def held_in(active: FlowOf, twist: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """The torque that keeps a rate of twist constant in a flow, by state and inputs; None if the flow does so."""
-        pushed = _behind_zeros(twist / inertia)[..., None]
-        yielding = _across(twist, locked_in(active, pushed, pushed)[0][..., n:, :])
+        pushed = by_speeds(twist / inertia)[..., None]
+        yielding = _across(twist, locked_in(active, pushed, pushed)[0][..., speeds, :])
         if alike(yielding[..., 0] <= _SINGULAR * np.sum(twist**2 / inertia, axis=-1), 0):
             return None
-        rates, inputs = (_across(twist, matrix[..., n:, :]) / yielding for matrix in flow_of(active))
+        rates, inputs = (_across(twist, matrix[..., speeds, :]) / yielding for matrix in flow_of(active))
         return rates, inputs
 
     for k, lash in enumerate(lashes):
@@ -346,7 +351,7 @@ def build_system(
                 of_lash[..., flow, FORCE, :], fed[..., flow, FORCE, :] = held
         if lash.separation_by_force and not impulsive:
             of_lash[..., FORCE, :n] = _in_each_flow(lash.stiffness) * lash.twist[..., None, :]
-            of_lash[..., FORCE, n:] = _in_each_flow(lash.damping) * lash.twist[..., None, :]
+            of_lash[..., FORCE, speeds] = _in_each_flow(lash.damping) * lash.twist[..., None, :]
     for k, shaft in enumerate(staged, count * stride):
         functionals[..., k, :n] = shaft.twist[..., None, :]
     excess = np.zeros(len(every), np.int64)
@@ -356,14 +361,18 @@ def build_system(
             others = active._replace(stuck=(*active.stuck[:k], 0, *active.stuck[k + 1 :]))
             held = held_in(others, friction.twist)
             if held is not None:
-                functionals[..., flow, rate, n:] = friction.twist
+                functionals[..., flow, rate, speeds] = friction.twist
                 functionals[..., flow, rate + HOLDING, :], feedthrough[..., flow, rate + HOLDING, :] = held
                 feedthrough[..., flow, rate + HOLDING, torque] = 0.0
             excess[flow] |= held is None and active.stuck[k]
+    if wave_rates is not None:
+        rates[..., mechanical:, mechanical:] = wave_rates[..., None, :, :]
+        rates[..., :mechanical, mechanical] = inputs[..., :mechanical, TORQUE]
+        functionals[..., mechanical] = feedthrough[..., TORQUE]
 
     motions = rigid.shape.shape[-1]
     opened_in = [FlowOf((0,) * count, stages, (0,) * len(frictions)) for stages in stages_of(staged)]
-    steady = np.zeros((*batch, len(opened_in), 2 * n, driven))
+    steady = np.zeros((*batch, len(opened_in), mechanical + wave, driven))
     carried = np.zeros((*batch, len(opened_in), count, driven))
     torques, gaps = np.zeros((*batch, n, driven)), np.zeros((count, driven))
     torques[..., TORQUE] = load
@@ -380,14 +389,10 @@ def build_system(
             steady[..., k, :, :] = np.nan  # no equilibrium, or many
             continue
         angles, carried[..., k, :, :] = preload(chains[active][1], torques, twists, gaps, momentum, compliance)
-        steady[..., k, :n, :], steady[..., k, n:, TORQUE] = angles, rigid.speeds
+        steady[..., k, :n, :], steady[..., k, speeds, TORQUE] = angles, rigid.speeds
     status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
-    drift = np.zeros((*rigid.shape.shape[:-2], 2 * n, 0))
-    if status == Status.OK:
-        still = np.zeros(rigid.shape.shape)
-        drift = np.concatenate([rigid.shape, still], axis=-2)
-        if not rigid.is_dragged:
-            drift = np.concatenate([drift, np.concatenate([still, rigid.shape], axis=-2)], axis=-1)
+    rolling = rigid.shape[..., : int(status == Status.OK)]
+    drift: FloatArray = np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling)  # the angles, and the speeds where nothing drags
     tables = build_tables(lashes, staged, frictions)
     for k in range(len(frictions)):  # a rate that stays zero ends nothing
         rate = first_rate + OF_FRICTION * k + RATE
@@ -398,24 +403,24 @@ def build_system(
         """An array of so many dimensions for each driveline of a batch, which may be common to all."""
         return np.broadcast_to(array, (*batch, *array.shape[array.ndim - dimensions :])).copy()
 
-    system = System(
+    return System(
         rates=rates,
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
         functionals_per_lash=stride,
-        lashes=of_each(_behind_zeros(twists), 2),
+        lashes=of_each(by_speeds(twists), 2),
         inertias=n,
         ramps=int(ramps),
         **tables._replace(offsets=of_each(tables.offsets, 3), weights=of_each(tables.weights, 2))._asdict(),
         impulsive=int(impulsive),
-        impulse=_behind_zeros(impulse),
+        impulse=by_speeds(impulse),
         passed=passed,
         restitution=_of_lashes([0.0 if lash.restitution is None else lash.restitution for lash in lashes], batch),
         locking_speed=_of_lashes(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
         ),
-        frictions=of_each(_behind_zeros(tied[..., count:, :]), 2),
+        frictions=of_each(by_speeds(tied[..., count:, :]), 2),
         friction_torques=_of_lashes([friction.most for friction in frictions], batch),
         excess=excess,
         preload=steady,
@@ -425,10 +430,9 @@ def build_system(
         sticking_time=_of_lashes([lash.sticking_time for lash in lashes], batch),
         status=int(status),
     )
-    return system if wave_rates is None else _with_wave(system, wave_rates)
 
 
-def _impacts(inertia: FloatArray, twists: FloatArray, mobility: FloatArray, sets: int) -> tuple[FloatArray, FloatArray]:
+def _impacts(inertia: FloatArray, twists: FloatArray, sets: int) -> tuple[FloatArray, FloatArray]:
     """What an impact across each lash changes per unit of q', and what passes through every lash, `System.passed`.
 
     Returns (…, H, L, n) and (…, H, L, L) float64, zero where the lash itself is in the set that holds.
@@ -436,9 +440,7 @@ def _impacts(inertia: FloatArray, twists: FloatArray, mobility: FloatArray, sets
     *batch, n = inertia.shape
     count = twists.shape[-2]
     change, passed = np.zeros((*batch, sets, count, n)), np.zeros((*batch, sets, count, count))
-    change[..., 0, :, :] = twists / inertia[..., None, :] / mobility[..., None]
-    passed[..., 0, range(count), range(count)] = 1.0 / mobility
-    for held in range(1, sets):
+    for held in range(sets):
         bits = [k for k in range(count) if held >> k & 1]
         for lash in set(range(count)) - set(bits):
             tied = twists[..., [lash, *bits], :]
@@ -447,23 +449,6 @@ def _impacts(inertia: FloatArray, twists: FloatArray, mobility: FloatArray, sets
             change[..., held, lash, :] = np.einsum("...k,...kn->...n", impulses, across)
             passed[..., held, lash, [lash, *bits]] = impulses
     return change, passed
-
-
-def _with_wave(system: System, wave_rates: FloatArray) -> System:
-    """A system with two states more, w, the first of which is added to the torque."""
-    *flows, size, _ = system.rates.shape
-    rates, functionals = np.zeros((*flows, size + 2, size + 2)), _wider(system.functionals)
-    rates[..., :size, :size], rates[..., size:, size:] = system.rates, wave_rates[..., None, :, :]
-    rates[..., :size, size], functionals[..., size] = system.inputs[..., TORQUE], system.feedthrough[..., TORQUE]
-    return system._replace(
-        rates=rates,
-        inputs=_wider(system.inputs.swapaxes(-1, -2)).swapaxes(-1, -2).copy(),
-        functionals=functionals,
-        lashes=_wider(system.lashes),
-        frictions=_wider(system.frictions),
-        impulse=_wider(system.impulse),
-        preload=_wider(system.preload.swapaxes(-1, -2)).swapaxes(-1, -2).copy(),
-    )
 
 
 def _of_lashes(numbers: Sequence[FloatArray | float], batch: Sequence[int] = ()) -> FloatArray:
@@ -481,13 +466,3 @@ def _across(twist: FloatArray, matrix: FloatArray) -> FloatArray:
 def _in_each_flow(number: FloatArray | float) -> FloatArray:
     """A number of a driveline, or of each of a batch, to be multiplied by a matrix."""
     return np.asarray(number)[..., None, None]
-
-
-def _behind_zeros(array: FloatArray) -> FloatArray:
-    """An array whose last dimension is twice as long, by zeros in front."""
-    return np.concatenate([np.zeros_like(array), array], axis=-1)
-
-
-def _wider(array: FloatArray) -> FloatArray:
-    """An array whose last dimension is longer by two zeros."""
-    return np.concatenate([array, np.zeros((*array.shape[:-1], 2))], axis=-1)

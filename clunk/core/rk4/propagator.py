@@ -45,26 +45,10 @@ class Steps(NamedTuple):
 def build_steps(system: System, step: float) -> tuple[System, Steps]:
     """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s."""
     stable, *bound = _modal_bound(system, step)
-    rates, functionals = _rolling_apart(system)
-    propagator = _propagator(rates, system.inputs, functionals, system.feedthrough, step)
+    propagator = _propagator(system.rates, system.inputs, system.functionals, system.feedthrough, step)
     if not stable:
         system = system._replace(status=int(Status.UNSTABLE_STEP))
     return system, Steps(step, *propagator, *bound)
-
-
-def _rolling_apart(system: System) -> tuple[FloatArray, FloatArray]:
-    """A and C of states that have the angle they rolled by in place of that of the first inertia that rolls.
-
-    It is taken from the other angles, which then have their digits however far it goes.
-    """
-    n, rates, functionals = system.inertias, system.rates.copy(), system.functionals.copy()
-    if system.drift.size:
-        rolling = system.drift[:n, 0]
-        first = np.flatnonzero(rolling)[0]
-        rates[:, :n, n + first] -= rolling
-        rates[:, first, n + first] = 1.0
-        rates[:, n:, first] = functionals[..., first] = 0.0
-    return rates, functionals
 
 
 def rk4_growth(eigenvalues: npt.NDArray[np.complex128], step: float | FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clunk.core.events import INSTANT
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import System, elements_of, frictions_of, lashes_of, take_rolling, turn_back
+from clunk.core.regimes import System, elements_of, frictions_of, lashes_of, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
@@ -116,7 +116,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
                 taken = _coast(system, steps, entry.regime, room, budget, extremes)
-                rolled += take_rolling(system, room.z)
+                rolled += turn_back(system, room.z)
                 index += taken
                 clear = taken == budget
                 if stop[0] != 0:
