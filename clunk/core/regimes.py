@@ -392,7 +392,8 @@ def build_system(
         steady[..., k, :n, :], steady[..., k, speeds, TORQUE] = angles, rigid.speeds
     status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
     rolling = rigid.shape[..., : int(status == Status.OK)]
-    drift: FloatArray = np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling)  # the angles, and the speeds where nothing drags
+    # by the angles, and where nothing drags by the speeds, too
+    drift = np.asarray(np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling), np.float64)
     tables = build_tables(lashes, staged, frictions)
     for k in range(len(frictions)):  # a rate that stays zero ends nothing
         rate = first_rate + OF_FRICTION * k + RATE
