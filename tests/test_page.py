@@ -18,7 +18,7 @@ from clunk.plot.page import page
 from clunk.plot.style import MOST_POINTS, save
 from clunk.results import store
 from clunk.simulation.small_gap import rigid_contact_thresholds
-from clunk.study.axes import RUN, ResultAxis
+from clunk.study.axes import ResultAxis, run_axis
 from clunk.study.config import load_study
 
 CONFIG = SMALL[: SMALL.index("[sweep]")]
@@ -162,9 +162,8 @@ def test_thresholds_of_a_driveline_with_friction_are_not_told():
 @pytest.mark.parametrize("count", [100, MOST_POINTS + 1])
 def test_a_cloud_of_points_is_not_a_path_for_each(tmp_path, count):
     rng = np.random.default_rng(1)
-    run = ResultAxis(RUN, np.arange(1.0, count + 1.0), "run", "", "1")
     x, y = (replace(axis, values=rng.uniform(0.5, 10.0, count)) for axis in (RATIO, BACKLASH))
-    results = replace(with_arrays(example(run), quality=np.zeros(count, np.uint8)), coordinates=(x, y))
+    results = with_arrays(example(run_axis([x, y])), quality=np.zeros(count, np.uint8))
     save(draw(results, "regimes", x=x.parameter, y=y.parameter), tmp_path / "cloud.svg")
     text = (tmp_path / "cloud.svg").read_text("utf-8")
     assert (text.count("<use") > count) == (count == 100)

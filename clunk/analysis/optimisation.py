@@ -143,7 +143,7 @@ class Problem:
                 raise ClunkError(f"{quantity.name} is no condition; severity<=8000 or double_sided=0 is one.")
         self.study = measuring(nominal(study), [*self._conditions, *self._numbers])
         design = design_of(self.study)
-        self._cells = design.at(np.arange(design.cells)) if design.shape else {}
+        self._cells = design.columns(np.arange(design.cells)) if design.shape else {}
         self._tolerances = study.sweep.tolerances if study.sweep is not None else ()
         self._drawn = drawn_numbers(study, self._tolerances) if self._tolerances else []
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1

@@ -286,7 +286,7 @@ def thresholds(
     study = load_study(config, overrides)
     _, axes = analysis.axes_of(study, along)
     if at:
-        study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], (), at))
+        study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], at))
     is_toleranced = has_tolerances(study)
     if quantiles and not is_toleranced:
         raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")

@@ -63,12 +63,11 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     from clunk.study.parameters import get_value
 
     design = design_of(study)
-    named = nearest_values(design.axes, design.coordinates, at)
+    named = nearest_values(design.axes, at)
     missing = [axis for axis in design.axes if axis.parameter not in named]
     if missing and all_needed:
         raise click.UsageError(f"Which cell? Also name {' '.join(map(at_middle, missing))}, for example.")
-    unnamed = [axis for axis in missing if axis.parameter != RUN]
-    unnamed += design.coordinates if len(unnamed) < len(missing) else ()
+    unnamed = [each for axis in missing for each in axis.parameters]
     if unnamed:
         listed = ", ".join(f"{axis.parameter} = {get_value(study, axis.parameter):g}" for axis in unnamed)
         terminal.complain(f"note: without --at, as in the config: {listed}")
@@ -83,13 +82,12 @@ def at_middle(axis: ResultAxis) -> str:
     return f"--at {shlex.quote(f'{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}')}"
 
 
-def nearest_values(
-    axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis], at: tuple[str, ...]
-) -> dict[str, float]:
+def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...]) -> dict[str, float]:
     """Values of axes that --at names, each the nearest one of its axis."""
     import numpy as np
 
-    swept = {axis.parameter: axis for axis in (*axes, *coordinates)}
+    together = [each for axis in axes for each in axis.along]
+    swept = {axis.parameter: axis for axis in (*axes, *together)}
     values: dict[str, float] = {}
     for assignment in at:
         key, equals, text = assignment.partition("=")
@@ -105,7 +103,7 @@ def nearest_values(
         except ValueError as error:
             raise click.UsageError(f"--at {assignment}: {error}") from None
         nearest = float(axis.values[position])
-        if axis in coordinates:
+        if axis in together:
             raise click.UsageError(
                 f"--at {assignment}: {key} changes together with the other keys of its run; name the run, --at "
                 f"run={position + 1}, where it is {nearest:.6g}."

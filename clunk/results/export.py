@@ -21,7 +21,6 @@ from clunk.results.store import dataset_of
 from clunk.simulation.history import History
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Array
-from clunk.study.axes import RUN
 from clunk.study.errors import ClunkError
 
 _ROWS = 4096  # cells, written at once
@@ -41,7 +40,7 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
     dataset, cells = dataset_of(results), math.prod(results.shape)
     columns: list[tuple[str, Quantity | None, Array]] = []  # heading, and the value in each cell
     for axis, places in zip(results.axes, np.unravel_index(np.arange(cells), results.shape), strict=True):
-        for each in [axis, *results.coordinates] if axis.parameter == RUN else [axis]:
+        for each in (axis, *axis.along):
             values = np.array(each.words, object) if each.words else each.values
             columns.append((_with_unit(each.parameter, each.unit), None, values[places]))
     for name, quantity in results.quantities.items():

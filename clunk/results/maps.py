@@ -30,7 +30,8 @@ from clunk.results.quantities import (
     named_numbers,
 )
 from clunk.study.arrays import Array, Bools, Floats, Integers
-from clunk.study.axes import LASH, RUN, ResultAxis, parameters_of
+from clunk.study.axes import LASH, ResultAxis
+from clunk.study.designs import Design
 from clunk.study.document import value_at
 from clunk.study.models import lash_name, lash_position
 from clunk.study.records import Rows, as_text, counted
@@ -46,7 +47,7 @@ def tables_of(config: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Map(ABC):
+class Map(Design, ABC):
     """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
 
     "Shape" is the axes' counts in order. Of several lashes the last axis is `lash`, and each lash of a cell counts as a
@@ -54,7 +55,6 @@ class Map(ABC):
 
     title : str
     axes : one or more `ResultAxis`; of several lashes the last is `lash`
-    coordinates : the parameters that change together along the axis `run`, if there is one; each as long as it
     labels : code -> label; the code -1 is a failed cell
     config, config_digest : the resolved TOML and its digest
     attributes : versions, date and machine, by name
@@ -69,13 +69,11 @@ class Map(ABC):
     """
 
     title: str
-    axes: tuple[ResultAxis, ...]
     labels: tuple[str, ...]
     config: str
     config_digest: str
     attributes: dict[str, str]
     arrays: Mapping[str, Array]
-    coordinates: tuple[ResultAxis, ...] = ()
     sample: tuple[ResultAxis, ...] = ()
     boundaries: Boundaries | None = None
 
@@ -92,16 +90,6 @@ class Map(ABC):
                 raise ValueError(f"{name} must be {expected}, not {array.dtype} {array.shape}")
         if self.sequence.min() < FAILED_CODE or self.sequence.max() >= len(self.labels):
             raise ValueError("sequence holds a code without a label")
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The axes' counts in order."""
-        return tuple(len(axis.values) for axis in self.axes)
-
-    @property
-    def parameters(self) -> tuple[ResultAxis, ...]:
-        """The swept parameters: the axes, and in the place of `run` its coordinates."""
-        return parameters_of(self.axes, self.coordinates)
 
     @property
     def lashes(self) -> tuple[str, ...]:
@@ -166,7 +154,7 @@ class Map(ABC):
         return {
             each.parameter: each.words[position] if each.words else float(each.values[position])
             for axis, position in zip(self.axes, cell, strict=True)
-            for each in parameters_of([axis], self.coordinates)
+            for each in axis.parameters
         }
 
     def at_lash(self, name: str | None = None) -> Self:
@@ -204,8 +192,6 @@ class Map(ABC):
         """The slice at these positions, without the axes of a single one; of a whole map with its boundaries."""
         kept = [(axis, places) for axis, places in zip(self.axes, index, strict=True) if isinstance(places, slice)]
         axes = tuple(axis.part(places) for axis, places in kept)
-        runs = [places for axis, places in kept if axis.parameter == RUN]
-        coordinates = tuple(axis.part(runs[0]) for axis in self.coordinates)
         arrays = {
             name: np.ascontiguousarray(self.arrays[name][index])
             for name, each in self.quantities.items()
@@ -220,7 +206,7 @@ class Map(ABC):
         is_whole = all(places == slice(None) for places in index[: len(self.axes) - bool(self.lashes)])
         is_theirs = self.boundaries is not None and lash == [self.boundaries.lash]
         boundaries = self.boundaries if is_whole and is_theirs else None
-        return replace(self, axes=axes, coordinates=coordinates, arrays=arrays, boundaries=boundaries)
+        return replace(self, axes=axes, arrays=arrays, boundaries=boundaries)
 
     def summary(self) -> Rows:
         """Pairs of a name and a value on what was swept and drawn, for people."""

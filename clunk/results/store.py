@@ -27,7 +27,7 @@ from clunk.results.netcdf import (
 )
 from clunk.results.quantities import TOLERANCE_QUANTITIES
 from clunk.study.arrays import Array
-from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
+from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis, run_axis
 
 if TYPE_CHECKING:
     import xarray
@@ -148,8 +148,8 @@ def map_of(dataset: Dataset) -> AnyMap:
     """The map of a dataset. Raises KeyError and ValueError where it is of none."""
     variables, attributes = dataset.variables, dataset.attributes
     sequence = variables["sequence"]
-    axes = tuple(_axis_of(variables[dim]) for dim in sequence.dims)
-    coordinates = str(sequence.attributes.get("coordinates", "")).split()
+    along = [_axis_of(variables[name]) for name in str(sequence.attributes.get("coordinates", "")).split()]
+    axes = tuple(run_axis(along) if dim == RUN else _axis_of(variables[dim]) for dim in sequence.dims)
     is_tolerance_map = attributes.get(_KIND) == _TOLERANCE_MAP
     sample = str(variables["draw"].attributes["sample"]).split() if is_tolerance_map else []
     meanings = meanings_of(sequence)
@@ -162,7 +162,6 @@ def map_of(dataset: Dataset) -> AnyMap:
     return (ToleranceMap if is_tolerance_map else Results)(
         title=attributes["title"],
         axes=axes,
-        coordinates=tuple(_axis_of(variables[name]) for name in coordinates),
         labels=tuple(meanings[code] for code in range(len(meanings) - 1)),
         config=attributes["config"],
         config_digest=attributes["config_digest"],

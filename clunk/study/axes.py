@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,7 @@ class ResultAxis:
     values : (count,) float64  [unit]
     name, symbol, unit : for people, e.g. ``load ratio``, ``σr = Td/Ts``, ``1``
     words : the values as words, if they are: of lashes, their names
+    along : of `run`, the parameters that change together along it, each as long as it
     """
 
     parameter: str
@@ -36,6 +37,12 @@ class ResultAxis:
     symbol: str
     unit: str
     words: tuple[str, ...] = ()
+    along: tuple[ResultAxis, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """The parameters that change along the axis: itself, or of `run` several."""
+        return self.along or (self,)
 
     @property
     def variable(self) -> str:
@@ -52,7 +59,8 @@ class ResultAxis:
 
     def part(self, places: slice) -> ResultAxis:
         """The axis at some of its places."""
-        return replace(self, values=self.values[places], words=self.words[places])
+        along = tuple(each.part(places) for each in self.along)
+        return replace(self, values=self.values[places], words=self.words[places], along=along)
 
     def word(self, value: float) -> str:
         """The word of a value; empty where values are none."""
@@ -75,14 +83,10 @@ class ResultAxis:
         return bool(np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0)
 
 
-def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
-    """The swept parameters: the axes, and in the place of `run` its coordinates."""
-    return tuple(each for axis in axes for each in (coordinates if axis.parameter == RUN else [axis]))
-
-
-def run_axis(count: int) -> ResultAxis:
-    """The dimension of this number of runs."""
-    return ResultAxis(RUN, np.arange(1.0, count + 1.0), RUN, "", "1")
+def run_axis(along: Iterable[ResultAxis]) -> ResultAxis:
+    """The dimension of runs along which these parameters change together."""
+    along = tuple(along)
+    return ResultAxis(RUN, np.arange(1.0, len(along[0].values) + 1.0), RUN, "", "1", along=along)
 
 
 def lash_axis(names: Sequence[str]) -> ResultAxis:

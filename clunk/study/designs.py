@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.study.arrays import Cells, Floats
-from clunk.study.axes import ResultAxis, parameters_of, run_axis
+from clunk.study.axes import ResultAxis, run_axis
 from clunk.study.document import dotted
 from clunk.study.errors import ConfigError, Problem, report
 from clunk.study.keys import validated, with_tuples
@@ -30,11 +30,9 @@ class Design:
     """The cells of a sweep: the product of its axes.
 
     axes : one for each dimension; of what is walked or drawn together `run`, with the runs' numbers
-    coordinates : the parameters along `run`, each as long as it
     """
 
     axes: tuple[ResultAxis, ...] = ()
-    coordinates: tuple[ResultAxis, ...] = ()
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -49,13 +47,18 @@ class Design:
     @property
     def parameters(self) -> tuple[ResultAxis, ...]:
         """The parameters that change: the axes, and in the place of `run` its coordinates."""
-        return parameters_of(self.axes, self.coordinates)
+        return tuple(each for axis in self.axes for each in axis.parameters)
 
-    def at(self, cells: Cells) -> dict[str, Floats]:
+    @property
+    def coordinates(self) -> tuple[ResultAxis, ...]:
+        """The parameters that change together along `run`, each as long as it; none without that."""
+        return tuple(each for axis in self.axes for each in axis.along)
+
+    def columns(self, cells: Cells) -> dict[str, Floats]:
         """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
         values: dict[str, Floats] = {}
         for axis, positions in zip(self.axes, np.unravel_index(cells, self.shape), strict=True):
-            values |= {each.parameter: each.values[positions] for each in parameters_of([axis], self.coordinates)}
+            values |= {each.parameter: each.values[positions] for each in axis.parameters}
         return values
 
 
@@ -67,8 +70,7 @@ def axis_of(parameter: str, values: Floats) -> ResultAxis:
 
 def along_run(columns: Iterable[tuple[str, Floats]]) -> Design:
     """Design of parameters that are walked together, each with its values, all (n,) float64."""
-    coordinates = tuple(axis_of(parameter, values) for parameter, values in columns)
-    return Design((run_axis(len(coordinates[0].values)),), coordinates)
+    return Design((run_axis(axis_of(parameter, values) for parameter, values in columns),))
 
 
 def design_of(study: Study) -> Design:
@@ -84,7 +86,7 @@ def design_of(study: Study) -> Design:
         return Design(axes)
     drawn = zip(sweep.samples, drawn_numbers(study, sweep.samples), strict=True)
     sample = along_run((d.parameter, d.applied(numbers, unswept_value(study, d.parameter))) for d, numbers in drawn)
-    return Design((*axes, *sample.axes), sample.coordinates)
+    return Design((*axes, *sample.axes))
 
 
 def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Design:

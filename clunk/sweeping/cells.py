@@ -129,7 +129,7 @@ class Grid:
         """Cells in the order in which they are best cut into tiles: those of one system behind one another."""
         if not self.structural:
             return cells
-        values = self.design.at(cells)
+        values = self.design.columns(cells)
         return cells[np.lexsort([values[parameter] for parameter in self.structural])]
 
     @cached_property
@@ -177,7 +177,7 @@ class Grid:
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
-        return self.run_at(cells, self.design.at(cells), stop)
+        return self.run_at(cells, self.design.columns(cells), stop)
 
     def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:
         """Run cells with these values of the design's parameters, whatever the design's are."""

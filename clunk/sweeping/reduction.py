@@ -138,7 +138,7 @@ class Reduction:
     def heading(self) -> dict[str, Any]:
         """Title, axes and config: the fields that all maps have in common."""
         heading = self._heading or heading_of(self.study)
-        return {"axes": self.axes, "coordinates": self.design.coordinates, **heading}
+        return {"axes": self.axes, **heading}
 
 
 def heading_of(study: Study) -> dict[str, str]:

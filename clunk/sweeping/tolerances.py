@@ -128,7 +128,7 @@ class SampleRunner:
 
     def _values(self, draws: Cells, cells: Cells) -> dict[str, Floats]:
         """Values of the parameters in some cells at one draw after the other, (draws cells,); the last is nominal."""
-        values = {key: np.tile(column, (draws.size, 1)) for key, column in self.design.at(cells).items()}
+        values = {key: np.tile(column, (draws.size, 1)) for key, column in self.design.columns(cells).items()}
         is_drawn = draws < self.draws
         for tolerance, numbers in zip(self._tolerances, self.drawn, strict=True):
             key = tolerance.parameter
