@@ -7,6 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import pytest
+import tomli_w
 from hypothesis import settings
 
 from clunk.cli import main
@@ -19,6 +20,8 @@ from clunk.sweeping.sweep import sweep
 settings.register_profile("clunk", deadline=None, derandomize=True)
 settings.load_profile("clunk")
 
+BOERE = '[driveline]\npreset = "boere-2008"\n'
+EXACT = BOERE + '[solver]\nmethod = "exact"\n'
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
 SHAFT = "[[driveline.shafts]]\nbetween = {}\nstiffness = 31.3\ndamping = 0.04\n"
 SPELLED_OUT = NOMINAL.replace("preset", "inertias = [0.024, 0.002, 0.002, 0.002]\npreset")
@@ -28,6 +31,16 @@ RUBBING = SPELLED_OUT + SHAFT.format([1, 2]) + SHAFT.format([2, 3]) + "friction 
 def axis(parameter, start, stop, count, more=""):
     """A table [[sweep.axes]]."""
     return f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = {start}\nstop = {stop}\ncount = {count}\n{more}'
+
+
+def values(parameter, numbers):
+    """A table [[sweep.axes]] of these values."""
+    return f'[[sweep.axes]]\nparameter = "{parameter}"\nvalues = {numbers}\n'
+
+
+def drawn(table, parameter, distribution, **numbers):
+    """A table [[sweep.samples]] or [[sweep.tolerances]]."""
+    return f"[[sweep.{table}]]\n" + tomli_w.dumps({"parameter": parameter, "distribution": distribution, **numbers})
 
 
 def pytest_configure(config: pytest.Config) -> None:

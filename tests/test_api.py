@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from conftest import EXACT, axis, values
 from test_store import BACKLASH, RATIO, assert_same, example
 from test_sweeping import digest_of
 
@@ -26,19 +27,8 @@ from clunk.sweeping import progress
 
 ROOT = Path(__file__).parent.parent
 TITLE = '<script>alert("x")</script> & co'
-SMALL = f"""
-title = '{TITLE}'
-driveline.preset = "boere-2008"
-solver.method = "exact"
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 6
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-values = [1.0, 5.0, 10.0, 20.0]
-"""
+SMALL = f"title = '{TITLE}'\n{EXACT}{axis('load.ratio', 0.0, 10.0, 6)}"
+SMALL += values("lash.backlash_deg", [1.0, 5.0, 10.0, 20.0])
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from conftest import EXACT, axis
 from matplotlib.text import Text
 
 from clunk.api import draw
@@ -21,43 +22,12 @@ from clunk.results.store import read_results
 from clunk.study.config import load_study
 
 ROOT = Path(__file__).parent.parent
-SMALL = """
-title = "Small"
-[driveline]
-preset = "boere-2008"
-[solver]
-method = "exact"
-[sweep]
-boundaries = false
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 6
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.0
-stop = 20.0
-count = 5
-"""
-LADEN = """
-[driveline]
-inertias = [1.0, 1.0]
-[[driveline.shafts]]
-between = [1, "ground"]
-stiffness = 10.0
-damping = 0.1
-[lash]
-between = [1, 2]
-backlash_deg = 1.0
-radius = 1.0
-[lash.contact]
-stiffness = 1e4
-damping = 1.0
-[load]
-on = 2
-static_torque = -1.0
-ratio = 5.0
+SMALL = f'title = "Small"\n{EXACT}[sweep]\nboundaries = false\n'
+SMALL += axis("load.ratio", 0.0, 10.0, 6) + axis("lash.backlash_deg", 0.0, 20.0, 5)
+LOOSE = """
+driveline = {inertias = [1.0, 1.0, 2.0], shafts = [{between = [1, "ground"], stiffness = 0.0, damping = 0.1}]}
+lash = {between = [1, 2], backlash_deg = 1.0, radius = 1.0, contact = {stiffness = 1e4, damping = 1.0}}
+load = {on = 2, static_torque = -1.0, ratio = 5.0}
 """
 AXES = SMALL[SMALL.index("[sweep]") :]
 
@@ -411,7 +381,7 @@ BROKEN = [
     (SMALL[: SMALL.index("[sweep]")], "sweep.axes"),
     ("title = \n", "TOML"),
     ("", "driveline"),
-    (LADEN.replace("[1.0, 1.0]", "[1.0, 1.0, 2.0]").replace("stiffness = 10.0", "stiffness = 0.0") + AXES, "inertia 3"),
+    (LOOSE + AXES, "inertia 3"),
 ]
 
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import EXACT, axis, drawn, values
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
@@ -18,43 +19,14 @@ from clunk.study.records import plain, text_of
 from clunk.study.study import replace_values
 from clunk.sweeping.sweep import cell_count, sweep
 
-BASE = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\n'
-ZIP = f"""{BASE}
-[sweep]
-design = "zip"
-[[sweep.axes]]
-parameter = "load.ratio"
-values = [1, 2, 5, 5, 8]
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 1
-stop = 9
-count = 5
-[[sweep.axes]]
-parameter = "driveline.inertias[4]"
-values = [0.003, 0.002, 0.001, 0.002, 0.001]
-"""
-DRAWS = """
-[sweep.sampling]
-count = {count}
-seed = 3
-[[sweep.samples]]
-parameter = "lash.contact.stiffness"
-distribution = "normal"
-draws = "factor"
-std = 0.15
-[[sweep.samples]]
-parameter = "driveline.inertias[4]"
-distribution = "lognormal"
-sigma = 0.3
-"""
-SAMPLE = f"""{BASE}{DRAWS.format(count=32)}
-[[sweep.samples]]
-parameter = "load.ratio"
-distribution = "uniform"
-low = 0
-high = 10
-"""
+ZIP = f'{EXACT}[sweep]\ndesign = "zip"\n{values("load.ratio", [1, 2, 5, 5, 8])}{axis("lash.backlash_deg", 1, 9, 5)}'
+ZIP += values("driveline.inertias[4]", [0.003, 0.002, 0.001, 0.002, 0.001])
+DRAWS = (
+    "[sweep.sampling]\ncount = {}\nseed = 3\n"
+    + drawn("samples", "lash.contact.stiffness", "normal", draws="factor", std=0.15)
+    + drawn("samples", "driveline.inertias[4]", "lognormal", sigma=0.3)
+)
+SAMPLE = EXACT + DRAWS.format(32) + drawn("samples", "load.ratio", "uniform", low=0, high=10)
 AXES = {
     "load.ratio": [0.0, 1.0, 2.5, 4.6, 7.0, 10.0],
     "lash.backlash_deg": [0.0, 2.0, 6.0, 15.0],
@@ -63,8 +35,8 @@ AXES = {
 }
 
 
-def grid(*names: str, **fixed: float) -> str:
-    return "".join(f'[[sweep.axes]]\nparameter = "{name}"\nvalues = {AXES[name]}\n' for name in names)
+def grid(*names: str) -> str:
+    return "".join(values(name, AXES[name]) for name in names)
 
 
 @pytest.fixture(scope="module")
@@ -80,12 +52,12 @@ def sampled():
 @pytest.fixture(scope="module")
 def mixed():
     """A grid of two axes for each of six drawn drivelines."""
-    return sweep(study_from_text(BASE + DRAWS.format(count=6) + grid("load.ratio", "lash.backlash_deg")))
+    return sweep(study_from_text(EXACT + DRAWS.format(6) + grid("load.ratio", "lash.backlash_deg")))
 
 
 @pytest.fixture(scope="module")
 def four():
-    return sweep(study_from_text(BASE + grid(*AXES)))
+    return sweep(study_from_text(EXACT + grid(*AXES)))
 
 
 class TestCells:

@@ -16,7 +16,7 @@ pytest.importorskip("bokeh", reason="the explorer's page needs Bokeh")
 from bokeh.document import Document
 from bokeh.events import DocumentReady
 from click.testing import CliRunner
-from conftest import NOMINAL
+from conftest import NOMINAL, axis, drawn, values
 from hypothesis import given, strategies as st
 
 from clunk import ClunkError, load_study, simulate, sweep, tolerance_map
@@ -33,16 +33,7 @@ from clunk.study.config import study_from_text
 from clunk.study.parameters import located
 
 CONFIGS = Path(__file__).parent.parent / "configs"
-AXES = """
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-values = [2.0, 6.0, 10.0]
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 5
-"""
+AXES = values("lash.backlash_deg", [2.0, 6.0, 10.0]) + axis("load.ratio", 0.0, 10.0, 5)
 EXACT = '[solver]\nmethod = "exact"\n'
 CELL = {"load.ratio": 5.0, "lash.backlash_deg": 6.0}
 
@@ -113,7 +104,7 @@ class TestNewest:
 class TestSubject:
     def test_the_load_ratio_is_x_and_further_axes_are_slices(self, subject):
         assert [axis.parameter for axis in subject.plane] == ["load.ratio", "lash.backlash_deg"]
-        text = AXES + '[[sweep.axes]]\nparameter = "lash.contact.damping"\nvalues = [50.0, 94.0]\n'
+        text = AXES + values("lash.contact.damping", [50.0, 94.0])
         three = Subject(sweep(study_from_text(NOMINAL + EXACT + text)))
         assert [axis.parameter for axis in three.plane] == ["load.ratio", "lash.backlash_deg"]
         assert [axis.parameter for axis in three.slices] == ["lash.contact.damping"]
@@ -137,8 +128,8 @@ class TestSubject:
         assert np.array_equal(simulate(config).events, subject.run(cell, numbers).trajectory.events)
 
     def test_of_runs_of_a_sample_the_map_is_a_strip(self):
-        text = NOMINAL + EXACT + '[[sweep.samples]]\nparameter = "load.ratio"\ndistribution = "uniform"\n'
-        results = sweep(study_from_text(text + "low = 2.0\nhigh = 8.0\n[sweep.sampling]\ncount = 4\n"))
+        text = NOMINAL + EXACT + drawn("samples", "load.ratio", "uniform", low=2.0, high=8.0)
+        results = sweep(study_from_text(text + "[sweep.sampling]\ncount = 4\n"))
         sampled = Subject(results)
         assert [axis.parameter for axis in sampled.plane] == ["run"]
         ratio = float(results.coordinates[0].values[2])
@@ -160,9 +151,8 @@ class TestTolerances:
 
     @pytest.fixture
     def subject(self):
-        drawn = '[[sweep.tolerances]]\nparameter = "lash.contact.damping"\ndistribution = "uniform"\nlow = 47.0\n'
-        drawn += "high = 188.0\n[sweep.sampling]\ncount = 8\n"
-        return Subject(tolerance_map(study_from_text(NOMINAL + EXACT + AXES + drawn)))
+        text = AXES + drawn("tolerances", "lash.contact.damping", "uniform", low=47.0, high=188.0)
+        return Subject(tolerance_map(study_from_text(NOMINAL + EXACT + text + "[sweep.sampling]\ncount = 8\n")))
 
     def test_a_cell_has_its_nominal_run_and_the_probability_of_each_label(self, subject):
         run = subject.run(CELL, {}).trajectory

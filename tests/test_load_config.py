@@ -5,6 +5,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from conftest import BOERE as PRESET, drawn, values
 from jsonschema import Draft202012Validator
 
 from clunk.simulation.load import load_step
@@ -15,7 +16,6 @@ from clunk.study.loads import PROFILES
 from clunk.study.study import replace_values, to_toml
 from clunk.sweeping.cells import leaves_system
 
-PRESET = '[driveline]\npreset = "boere-2008"\n'
 NEEDED = {
     "ramp": "duration = 0.1",
     "smooth": "duration = 0.1",
@@ -28,16 +28,11 @@ NEEDED = {
 TABLE = 'profile = "table"\ntimes = [0.0, 0.1, 0.2]\ntorques = [-6.0, -3.0, -1.0]'
 
 
+ZIPPED = f'[sweep]\ndesign = "zip"\n{values("load.times[2]", [0.1, 0.3])}{values("load.times[3]", [0.2, 0.4])}'
+
+
 def config(load: str, sweep: str = "") -> str:
     return f"{PRESET}[load]\n{load}\n{sweep}"
-
-
-def axis(parameter: str, values: str) -> str:
-    return f'[[sweep.axes]]\nparameter = "load.{parameter}"\nvalues = {values}\n'
-
-
-def uniform(table: str, parameter: str, low: float, high: float) -> str:
-    return f'[[sweep.{table}]]\nparameter = "load.{parameter}"\ndistribution = "uniform"\nlow = {low}\nhigh = {high}\n'
 
 
 def problems(text: str, *overrides: str, folder=".") -> list[tuple[str, str]]:
@@ -192,7 +187,7 @@ def test_a_long_trace_floods_nothing(tmp_path):
     assert study_from_text(to_toml(study)) == study
     ((_, message),) = problems(to_toml(study), "load.torques[2999]='none'")
     assert len(message) < 200
-    ((_, message),) = problems(text + axis("torqes[3]", "[1.0]"), folder=tmp_path)
+    ((_, message),) = problems(text + values("load.torqes[3]", [1.0]), folder=tmp_path)
     assert len(message) < 200
 
 
@@ -202,29 +197,41 @@ def test_a_long_trace_floods_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("load", "sweep", "refused"),
     [
-        ('profile = "ramp"', axis("duration", "[0.0, 0.1]"), ""),
-        (TABLE, axis("torques[2]", "[-4.0, 2.0]"), ""),
-        (TABLE, axis("times[2]", "[0.0, 0.2]"), ""),
-        (TABLE, uniform("samples", "scale", 0.5, 1.5), ""),
-        (TABLE, uniform("samples", "times[2]", 0.05, 0.15), ""),
-        (TABLE, f'[sweep]\ndesign = "zip"\n{axis("times[2]", "[0.1, 0.3]")}{axis("times[3]", "[0.2, 0.4]")}', ""),
-        ("", axis("duration", "[0.1]"), 'the profile is "step", and not "ramp", "smooth" or "pulse"'),
-        ("", axis("times[2]", "[0.1]"), 'the profile is "step", and not "table"'),
-        (TABLE, axis("ratio", "[1.0]"), 'the profile is "table", and not "step"'),
-        (TABLE, axis("torques[4]", "[1.0]"), "load.torques has 3 items"),
-        ('profile = "ramp"', axis("duration", "[-0.1, 0.1]"), "load.duration: found -0.1; must be a number, 0 or"),
-        (TABLE, axis("times[2]", "[0.1, 0.3]"), "load.times[2]: found 0.2 after 0.3; times must not decrease"),
-        (TABLE, axis("times[1]", "[0.0, 0.1]"), "found 0.1; the first time must be 0"),
-        (TABLE.replace("0.1", "0.0"), axis("times[3]", "[0.0, 0.1]"), "load.times[3]: found 0 for the third time"),
+        ('profile = "ramp"', values("load.duration", [0.0, 0.1]), ""),
+        (TABLE, values("load.torques[2]", [-4.0, 2.0]), ""),
+        (TABLE, values("load.times[2]", [0.0, 0.2]), ""),
+        (TABLE, drawn("samples", "load.scale", "uniform", low=0.5, high=1.5), ""),
+        (TABLE, drawn("samples", "load.times[2]", "uniform", low=0.05, high=0.15), ""),
         (
             TABLE,
-            axis("times[2]", "[0.1, 0.15]") + axis("times[3]", "[0.12, 0.2]"),
+            f'[sweep]\ndesign = "zip"\n{values("load.times[2]", [0.1, 0.3])}{values("load.times[3]", [0.2, 0.4])}',
+            "",
+        ),
+        ("", values("load.duration", [0.1]), 'the profile is "step", and not "ramp", "smooth" or "pulse"'),
+        ("", values("load.times[2]", [0.1]), 'the profile is "step", and not "table"'),
+        (TABLE, values("load.ratio", [1.0]), 'the profile is "table", and not "step"'),
+        (TABLE, values("load.torques[4]", [1.0]), "load.torques has 3 items"),
+        (
+            'profile = "ramp"',
+            values("load.duration", [-0.1, 0.1]),
+            "load.duration: found -0.1; must be a number, 0 or",
+        ),
+        (TABLE, values("load.times[2]", [0.1, 0.3]), "load.times[2]: found 0.2 after 0.3; times must not decrease"),
+        (TABLE, values("load.times[1]", [0.0, 0.1]), "found 0.1; the first time must be 0"),
+        (
+            TABLE.replace("0.1", "0.0"),
+            values("load.times[3]", [0.0, 0.1]),
+            "load.times[3]: found 0 for the third time",
+        ),
+        (
+            TABLE,
+            values("load.times[2]", [0.1, 0.15]) + values("load.times[3]", [0.12, 0.2]),
             "load.times[2] and load.times[3]: found 0.12 after 0.15",
         ),
-        (TABLE, uniform("samples", "times[2]", 0.05, 0.25), "found 0.2 after 0.2"),
+        (TABLE, drawn("samples", "load.times[2]", "uniform", low=0.05, high=0.25), "found 0.2 after 0.2"),
         (
             TABLE,
-            axis("times[3]", "[0.1, 0.2]") + uniform("tolerances", "times[2]", 0.05, 0.15),
+            values("load.times[3]", [0.1, 0.2]) + drawn("tolerances", "load.times[2]", "uniform", low=0.05, high=0.15),
             "times must not decrease",
         ),
     ],

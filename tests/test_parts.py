@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from conftest import BOERE, axis
 from test_sweeping import digest_of, equal, figure_3_4
 
 import clunk
@@ -21,24 +22,8 @@ from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.sweep import Job, sweep
 
 PACKAGE = Path(keeping.__file__).parents[1]
-CONFIG = """
-[driveline]
-preset = "boere-2008"
-[solver]
-step = 2e-4
-[sweep]
-boundaries = false
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 41
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.0
-stop = 20.0
-count = 31
-"""
+CONFIG = f"{BOERE}[solver]\nstep = 2e-4\n[sweep]\nboundaries = false\n"
+CONFIG += axis("load.ratio", 0.0, 10.0, 41) + axis("lash.backlash_deg", 0.0, 20.0, 31)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NOMINAL, axis
+from conftest import NOMINAL, axis, drawn
 from test_thresholds import DURATION, LASH, RAMP
 
 import clunk as clunk_api
@@ -23,14 +23,9 @@ from clunk.study.parameters import drawn_numbers, get_value
 RAMPED = NOMINAL.replace("ratio = 5.0", 'profile = "ramp"\nratio = 5.0')
 FEW = axis("load.ratio", 4.0, 8.0, 3)
 COARSE = axis("load.duration", 0.0, 0.6, 31)
-STIFFNESS, INERTIA, SHIFT = (
-    f'[[sweep.tolerances]]\nparameter = "{parameter}"\ndistribution = "normal"\ndraws = "{draws}"\nstd = {std}\n'
-    for parameter, draws, std in (
-        ("lash.contact.stiffness", "factor", 0.05),
-        ("driveline.inertias[4]", "factor", 0.05),
-        ("lash.backlash_deg", "offset", 0.2),
-    )
-)
+STIFFNESS = drawn("tolerances", "lash.contact.stiffness", "normal", draws="factor", std=0.05)
+INERTIA = drawn("tolerances", "driveline.inertias[4]", "normal", draws="factor", std=0.05)
+SHIFT = drawn("tolerances", "lash.backlash_deg", "normal", draws="offset", std=0.2)
 
 
 def study(*tables, draws=8, of=()):
@@ -47,8 +42,8 @@ def ramps():
 def driveline(swept, draw, **at):
     """The study of one draw."""
     tolerances = swept.sweep.tolerances
-    drawn = zip(tolerances, drawn_numbers(swept, tolerances), strict=True)
-    values = {each.parameter: each.applied(n[draw], get_value(swept, each.parameter)).item() for each, n in drawn}
+    numbers = zip(tolerances, drawn_numbers(swept, tolerances), strict=True)
+    values = {each.parameter: each.applied(n[draw], get_value(swept, each.parameter)).item() for each, n in numbers}
     return clunk_api.replace_values(swept, values | at)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import BOERE, axis
 from helpers.agreement import exact
 from helpers.reference import Plant
 
@@ -15,19 +16,8 @@ from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 from clunk.sweeping.sweep import sweep
 
-NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash.contact]\nmodel = "restitution"\n'
-MAP = """
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 41
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.0
-stop = 20.0
-count = 41
-"""
+NOMINAL = BOERE + '[lash.contact]\nmodel = "restitution"\n'
+MAP = axis("load.ratio", 0.0, 10.0, 41) + axis("lash.backlash_deg", 0.0, 20.0, 41)
 # Every inertia, shaft and end of a lash that a restitution impact may meet.
 DRIVELINES = {
     "between the last two": Plant(),
@@ -69,7 +59,7 @@ def test_rigid_flanks_need_no_stiffness_and_are_locked_where_they_stay_closed(me
 
 def test_both_contact_models_have_the_nine_labels_and_agree_in_99_percent_of_the_map():
     restitution = sweep(study_from_text(NOMINAL + MAP))
-    indentation = sweep(study_from_text('[driveline]\npreset = "boere-2008"\n' + MAP))
+    indentation = sweep(study_from_text(BOERE + MAP))
     assert set(restitution.labels) == set(indentation.labels)
     assert len(restitution.labels) == 9
     texts = [np.array(results.labels)[results.sequence] for results in (restitution, indentation)]

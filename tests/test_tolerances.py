@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import xarray
+from conftest import EXACT, axis, drawn, values
 from matplotlib.colors import to_rgb
 
 import clunk as clunk_api
@@ -28,29 +29,12 @@ from clunk.sweeping import parts as keeping, tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.sweep import Job, sweep
 
-DRIVELINE = """
-title = "Small"
-[driveline]
-preset = "boere-2008"
-[solver]
-method = "exact"
-"""
-AXES = """
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 21
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.5
-stop = 18.5
-count = 7
-"""
+DRIVELINE = f'title = "Small"\n{EXACT}'
+AXES = axis("load.ratio", 0.0, 10.0, 21) + axis("lash.backlash_deg", 0.5, 18.5, 7)
 
 
 def tolerance(parameter, std=0.05, draws="factor"):
-    return f'[[sweep.tolerances]]\nparameter = "{parameter}"\ndistribution = "normal"\ndraws = "{draws}"\nstd = {std}\n'
+    return drawn("tolerances", parameter, "normal", draws=draws, std=std)
 
 
 def study(*tolerances, axes=AXES, count=16, base=DRIVELINE, seed=1):
@@ -69,16 +53,16 @@ def equal(one, other):
 def single_runs(toleranced, cell):
     """Labels and severities of a plain loop over the draws, at these values of the axes."""
     draws = toleranced.sweep.tolerances
-    drawn = drawn_numbers(toleranced, draws)
+    all_numbers = drawn_numbers(toleranced, draws)
     bare = replace_values(nominal(toleranced).model_copy(update={"sweep": None}), cell)
     labels, severities = [], []
     for k in range(toleranced.sweep.sampling.count):
-        values = {}
-        for draw, numbers in zip(draws, drawn, strict=True):
+        own_values = {}
+        for draw, numbers in zip(draws, all_numbers, strict=True):
             own = get_value(bare, draw.parameter)
-            values[draw.parameter] = numbers[k] * own if draw.draws == "factor" else own + numbers[k]
+            own_values[draw.parameter] = numbers[k] * own if draw.draws == "factor" else own + numbers[k]
         try:
-            run = simulate(replace_values(bare, values))
+            run = simulate(replace_values(bare, own_values))
         except ClunkError:
             labels.append("failed")
             continue
@@ -139,10 +123,8 @@ class TestCells:
 
 
 def test_rk4_and_axes_walked_together():
-    axes = (
-        '[sweep]\ndesign = "zip"\n[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [2.0, 3.3, 8.5]\n'
-        '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nvalues = [1.0, 9.0, 9.5]\n'
-    )
+    axes = values("load.ratio", [2.0, 3.3, 8.5]) + values("lash.backlash_deg", [1.0, 9.0, 9.5])
+    axes = f'[sweep]\ndesign = "zip"\n{axes}'
     base = study(tolerance("lash.contact.damping", 0.1), axes=axes, count=4, base=DRIVELINE.replace("exact", "rk4"))
     found = clunk_api.tolerance_map(base)
     assert found.shape == (3,)
@@ -171,7 +153,7 @@ def test_sequences_longer_than_a_pattern_are_told_apart():
 def failing():
     return study(
         tolerance("load.ratio", 1.5, "offset"),
-        axes='[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [1.0, 3.0, 5.0]\n',
+        axes=values("load.ratio", [1.0, 3.0, 5.0]),
         base=DRIVELINE.replace('"exact"', '"exact"\nmax_events = 14'),
     )
 

@@ -3,41 +3,16 @@
 import json
 
 import pytest
+from conftest import NOMINAL as OF_REPORT, axis, values
 
 from clunk.analysis.comparison import METHODS, verify
 from clunk.core.status import QUALITY_COMPLETE
 from clunk.study.config import study_from_text
 
-NOMINAL = """
-title = "Small"
-[driveline]
-preset = "boere-2008"
-[lash]
-backlash_deg = 6.0
-[load]
-ratio = 5.0
-"""
-GRID = """
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 11
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.0
-stop = 20.0
-count = 9
-"""
+NOMINAL = f'title = "Small"\n{OF_REPORT}'
+GRID = axis("load.ratio", 0.0, 10.0, 11) + axis("lash.backlash_deg", 0.0, 20.0, 9)
 # At σr = 9 and steps this coarse RK4 damps the contact's own oscillation: it finds DS(1)SS(2) from 15° on.
-NEAR_A_BOUNDARY = """
-[[sweep.axes]]
-parameter = "load.ratio"
-values = [8.0, 9.0]
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-values = [12.0, 15.0, 16.0]
-"""
+NEAR_A_BOUNDARY = values("load.ratio", [8.0, 9.0]) + values("lash.backlash_deg", [12.0, 15.0, 16.0])
 TOO_COARSE = "solver.step=1.4e-3"
 
 
