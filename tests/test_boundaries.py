@@ -51,6 +51,12 @@ def label_at(swept, point):
     return clunk.simulate(clunk.replace_values(swept, values)).label
 
 
+def across(curve, k):
+    """A vertex and the unit normal to the left of its curve, both in shares of the map."""
+    along = np.diff(curve.vertices[[k - 1, k + 1]] / RANGE, axis=0)[0]
+    return curve.vertices[k] / RANGE, np.array([-along[1], along[0]]) / np.hypot(*along)
+
+
 def is_within(region, point):
     """Whether a point is within a region's outer ring and in none of its holes."""
     inside = [_contains(Ring(0, ring, 0.0), point) for ring in region.rings]
@@ -66,8 +72,7 @@ def test_each_vertex_is_where_single_runs_change(coarse):
         k = int(generator.integers(len(curve.vertices) // 3, len(curve.vertices) - 1))
         if min(np.abs((point - curve.vertices[k]) / RANGE).max() for point, _ in coarse.meetings) < 1e-6:
             continue  # where a third label is next to both
-        vertex, along = curve.vertices[k] / RANGE, np.diff(curve.vertices[[k - 1, k + 1]] / RANGE, axis=0)[0]
-        left = np.array([-along[1], along[0]]) / np.hypot(*along)
+        vertex, left = across(curve, k)
         low, high = -1e-7, 1e-7
         assert label_at(swept, (vertex + high * left) * RANGE) == curve.left
         assert label_at(swept, (vertex + low * left) * RANGE) == curve.right
@@ -148,9 +153,7 @@ def test_events_are_what_differs_between_the_two_runs(coarse):
     for curve in coarse.curves:
         if len(curve.vertices) < 6 or "OS" in curve.left + curve.right:  # thinner than the pair is apart
             continue
-        k = len(curve.vertices) // 2
-        vertex, along = curve.vertices[k] / RANGE, np.diff(curve.vertices[[k - 1, k + 1]] / RANGE, axis=0)[0]
-        left = np.array([-along[1], along[0]]) / np.hypot(*along)
+        vertex, left = across(curve, len(curve.vertices) // 2)
         pair = [(vertex + sign * 2e-9 * left) * RANGE for sign in (1.0, -1.0)]
         runs = [clunk.simulate(clunk.replace_values(swept, {"load.ratio": x, "lash.backlash_deg": y})) for x, y in pair]
         assert {run.label for run in runs} == {curve.left, curve.right}

@@ -237,17 +237,6 @@ def test_simulate_of_a_sweep_takes_the_config_s_own_values_where_none_are_named(
     assert "SS(1)" in out
 
 
-def test_simulate_never_writes_over_a_sweep_s_results(command, small, here):
-    command("sweep", small)
-    before = (here / "results/small.h5").read_bytes()
-    for source in (small, "results/small.h5"):
-        values = ["--at", "load.ratio=4", "--at", "lash.backlash_deg=5"]
-        code, _, err = command("simulate", source, *values, "-o", "results/small.h5")
-        assert code == 2
-        assert "results/small.h5" in err
-        assert (here / "results/small.h5").read_bytes() == before
-
-
 def test_simulate_draws_and_saves_runs_and_overlays(command, here):
     config = ROOT / "configs/nominal.toml"
     for figure in ("everything", "angles", "speeds", "backlash", "closeup", "acceleration", "small-gap"):
@@ -411,6 +400,7 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(command,
         (["sweep", "small.toml", "-o", "small.toml", "--force"], ".h5"),
         (["sweep", "small.toml", "-o", "map.png"], ".h5"),
         (["simulate", "small.toml", "-o", "run.docx"], ".csv"),
+        (["simulate", "small.toml", "-o", "results/small.h5"], "results/small.h5"),
         (["simulate", "small.toml", "--figure", "closeup"], "-o"),
         (["simulate", "small.toml", "--step", "-1", "-o", "run.png"], "--step"),
         (["simulate", "small.toml", "--overlay", "load.ratio", "-o", "run.png"], "--overlay"),

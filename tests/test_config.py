@@ -888,14 +888,6 @@ def test_drawn_values_have_their_distribution(name, method):
     assert stats.ks_1samp(values, distribution.cdf).statistic <= 1 / 1024 + 1e-9
 
 
-def test_seed_makes_the_sample():
-    tables = sample(STIFFNESS, "normal", draws="factor", std=0.1), sample("load.ratio", "uniform", low=0.0, high=10.0)
-    for method in ("sobol", "latin-hypercube"):
-        one, again, other = (columns(*tables, count=64, method=method, seed=seed) for seed in (5, 5, 6))
-        assert all(np.array_equal(a, b) for a, b in zip(one, again, strict=True))
-        assert not any(np.intersect1d(a, b).size for a, b in zip(one, other, strict=True))
-
-
 def test_truncation_holds_in_the_far_tail():
     """Bounds that lie on one side of the mean, where rounding is coarse."""
     (values,) = columns(sample(STIFFNESS, "normal", mean=4e5, std=1e4, low=4.4e5, high=4.41e5))

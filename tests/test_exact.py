@@ -107,6 +107,9 @@ class TestTangency:
 
         vague = contact == "force" and contact_opens
         labels, edge = set(), edge_of(plant_at, low, high)
+        assert (
+            vague or not contact_opens or contact == "restitution" or any(quality_of(plant_at(end))[2] for end in edge)
+        )
         for side, end in zip((-1.0, 1.0), edge, strict=True):
             label, margin, grazed = quality_of(plant_at(end))
             labels.add(label)
@@ -148,19 +151,6 @@ def test_the_margin_vanishes_at_both_borders_of_a_thin_region(ratio, begin, insi
             assert 0.0 < (near.margin if near.label != first else -near.margin) < 1e-8
             labels.add(near.label)
     assert len(labels) == 2
-
-
-def test_grazing_is_said_of_a_flank_reached_within_rounding():
-    """Among neighbouring load ratios there is one whose excursion ends within 1e-12 of the gap from the flank."""
-
-    def plant_at(ratio):
-        return reference.boere(ratio, 6.0)
-
-    below, above = edge_of(plant_at, 2.0, 3.4)
-    _, margin, grazed = quality_of(plant_at(below))
-    assert grazed
-    assert abs(margin) <= 1e-12
-    assert not quality_of(plant_at(above * (1.0 + 1e-10)))[2]
 
 
 def test_an_edge_is_undecided_whatever_the_damping_of_the_contact():

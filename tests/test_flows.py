@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import margins, reference
 from helpers.starts import started
-from numpy.polynomial.polynomial import polyder, polyval
+from numpy.polynomial.polynomial import polyval
 from scipy.linalg import expm
 
 from clunk.core.exact import curves, moving, taylor
@@ -53,15 +53,6 @@ def find_first_zero(c, part, results):
     vectors.store(results, 0, s)
     vectors.store(results, 1, known)
     return crosses
-
-
-@compiled
-def cross(c, length, results):
-    found, none, s, slope, half = taylor.crossing(c, vectors.load(length, 0), False)
-    vectors.store(results, 0, s)
-    vectors.store(results, 1, slope)
-    vectors.store(results, 2, half)
-    return found, none
 
 
 def sizes(y):
@@ -287,73 +278,6 @@ def test_where_low_is_positive_a_guard_stays_so():
             value, least = terms.sum(axis=0), np.minimum(guard[0], found[0])
             assert np.all((value >= least - 1e-14 * np.abs(terms).sum(axis=0))[positive])
     assert kept > 250
-
-
-def random_series(random):
-    """(TERMS, W), mostly monotone within (0, 1); from the third on, terms may be tiny."""
-    c = random.normal(size=(TERMS, WIDTH)) * 10.0 ** (random.uniform(-2.0, 0.0, WIDTH) * np.arange(TERMS)[:, None])
-    steepness = np.arange(2, TERMS) @ np.abs(c[2:])
-    c[1] = -steepness * random.choice([0.3, 0.7, 1.001, 1.5, 5.0], WIDTH)
-    c[0] = np.abs(c[1]) * random.uniform(-0.1, 1.5, WIDTH)
-    return c
-
-
-def random_lengths(random, c):
-    """(W,): within (0, 1); in every other lane, a zero is just before or behind it."""
-    length = random.uniform(0.1, 1.0, WIDTH)
-    for lane in range(0, WIDTH, 2):
-        near = zeros(c[:, lane], 0.99)
-        if near.size:
-            length[lane] = near[0] * (1.0 + 1e-6 * random.choice([-1.0, 1.0]))
-    return length
-
-
-def zeros(c, length):
-    """Where a series changes sign within (0, length), by the companion matrix."""
-    roots = np.roots(c[::-1])
-    real = roots[np.abs(roots.imag) < 1e-9].real
-    return real[(real > 0.0) & (real < length)]
-
-
-def nearly_tangent_series(random):
-    """(TERMS, W), falling less and less towards a zero in (0.2, 1)."""
-    c, lengths = random_series(random), random.uniform(0.2, 1.0, WIDTH)
-    c[2] = np.abs(c[2]) * 10.0 ** random.uniform(0.0, 1.5, WIDTH)
-    c[1] = -(np.arange(2, TERMS) @ np.abs(c[2:])) * (1.0 + 10.0 ** random.uniform(-6.0, 1.0, WIDTH))
-    c[0] = 0.0
-    c[0] = -np.array([polyval(s, series) for s, series in zip(lengths, c.T, strict=True)])
-    return c
-
-
-@pytest.mark.parametrize("made", [random_series, nearly_tangent_series])
-def test_a_crossing_is_the_first_zero_to_rounding_and_most_are_found(made):
-    """Exact to the rounding of the series' value there, and 2e-13 more; where none is claimed, there is none."""
-    random = np.random.default_rng(1)
-    claimed, there = 0, 0
-    for _ in range(960 // WIDTH):
-        c, results = made(random), np.zeros((3, WIDTH))
-        length = random_lengths(random, c) if made is random_series else np.ones(WIDTH)
-        found, none = (holds(bits) for bits in cross(c, length, results))
-        assert not np.any(found & none)
-        for lane in range(WIDTH):
-            series, s = c[:, lane].astype(np.longdouble), np.longdouble(results[0, lane])
-            inside = zeros(c[:, lane], length[lane])
-            falls = -series[1] > np.arange(2, TERMS) @ np.abs(series[2:])
-            there += falls and series[0] > 0.0 and inside.size > 0
-            claimed += found[lane]
-            assert not (none[lane] and inside.size)
-            if found[lane] and series[0] < 0.0:
-                assert s == 0.0
-            elif found[lane]:
-                assert inside.min() == pytest.approx(float(s), rel=1e-6)  # the companion matrix, at a near tangency
-                slope, half = polyval(s, polyder(series)), polyval(s, polyder(series, 2)) / 2.0
-                for _ in range(5):
-                    s -= polyval(s, series) / polyval(s, polyder(series))
-                assert abs(s - results[0, lane]) <= 2e-13 + 1e-15 * np.abs(series).sum() / np.abs(slope)
-                off = np.abs(results[1:, lane] - [slope, half])
-                assert np.all(off <= 1e-2 * np.abs([slope, half]) + 1e-3 * np.abs(series).max())
-    assert there > 120
-    assert claimed > 0.8 * there
 
 
 def wavy_series(random):

@@ -92,16 +92,6 @@ def test_a_motion_scales_with_its_driveline_and_its_load(nominal, law, ratio, ba
     assert agree(other.margin, one.margin, method, within=1e-9)
 
 
-@pytest.mark.parametrize("ratio", [-1.5, -2.0, -3.0])
-def test_a_load_that_changes_sign_ends_on_the_other_flank(nominal, ratio):
-    """σr < -1: the preload is on the positive flank, the final load rests on the negative one; the crossing stays."""
-    trajectory = simulate(at(nominal, ratio, 6.0))
-    assert trajectory.initial_side == 1
-    assert trajectory.label.endswith("CR(1)")
-    assert trajectory.events["side"][-1] == -1
-    assert trajectory.complete
-
-
 def test_the_motion_dies_out_in_static_contact_under_the_torque_after_the_step(nominal):
     """12 s after it, the slowest mode (ζω = 2.45 1/s) has fallen to 2e-13."""
     _, rest = reference.boere(0.0, 6.0).preload()

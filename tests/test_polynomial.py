@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from clunk.core.rk4.quartic import extremes, first_negative, stationary_points
+from clunk.core.rk4.quartic import extremes, first_negative
 
 APART = 1e-3
 COEFFICIENT = st.floats(-1.0, 1.0).map(lambda c: round(c, 6))  # no denormals: their products underflow
@@ -62,30 +62,15 @@ def test_nothing_is_negative_before_the_first_crossing(coefficients, length):
     assert found == 0.0 or samples.min() >= -rounding(coefficients, length)
 
 
-@pytest.mark.parametrize("touch", [0.25, 0.5, 0.75])
-def test_a_tangency_is_no_crossing(touch):
-    """(s - a)² with a dyadic number a: exact in floating point, zero at a and negative nowhere."""
-    assert first_negative((touch**2, -2.0 * touch, 1.0, 0.0, 0.0), 1.0) == -1.0
-
-
 @pytest.mark.parametrize("margin", [1e-6, 1e-10, 1e-14])
 def test_a_tangency_missed_or_cut_by_a_margin_is_told_apart(margin):
+    """And one at 1/2, which is exact in floating point, is no crossing."""
     parabola = (0.25, -1.0, 1.0, 0.0, 0.0)
+    assert first_negative(parabola, 1.0) == -1.0
     assert first_negative((parabola[0] + margin, *parabola[1:]), 1.0) == -1.0
     cut = first_negative((parabola[0] - margin, *parabola[1:]), 1.0)
     # zeros at 1/2 ± sqrt(margin); the relative error of the margin itself is eps / margin
     assert cut == pytest.approx(0.5 - margin**0.5, abs=margin**0.5 * (1e-9 + 1e-16 / margin))
-
-
-def test_a_zero_at_the_start_that_is_left_upwards_is_no_crossing():
-    assert first_negative((0.0, 1.0, 0.0, 0.0, 0.0), 1.0) == -1.0
-    assert first_negative((0.0, 0.0, 1.0, 0.0, 0.0), 1.0) == -1.0
-    assert first_negative((0.0, 1.0, -2.0, 0.0, 0.0), 1.0) == pytest.approx(0.5, abs=1e-15)
-
-
-def test_a_crossing_on_the_very_end_counts_only_if_it_is_negative_there():
-    assert first_negative((1.0, -1.0, 0.0, 0.0, 0.0), 1.0) == -1.0
-    assert first_negative((1.0, -1.0, 0.0, 0.0, 0.0), np.nextafter(1.0, 2.0)) == 1.0
 
 
 @given(COEFFICIENTS, LENGTH)
@@ -102,9 +87,3 @@ def test_the_extremes_bound_the_polynomial_and_are_taken(coefficients, length):
     assert smallest <= samples.min() + slack
 
 
-def test_the_extremes_of_four_waves_are_found_between_the_ends():
-    """The Chebyshev polynomial T4 on [0, 1]: five extremes of ±1."""
-    shifted = np.array([1.0, -32.0, 160.0, -256.0, 128.0])
-    assert extremes(shifted, 1.0) == pytest.approx((1.0, -1.0), abs=1e-13)  # terms up to 160 cancel
-    points = stationary_points(shifted, 1.0)
-    assert points == pytest.approx(0.5 * (1.0 - np.cos(np.pi * np.array([1, 2, 3]) / 4)), abs=1e-14)
