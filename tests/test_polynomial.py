@@ -85,5 +85,3 @@ def test_the_extremes_bound_the_polynomial_and_are_taken(coefficients, length):
     samples = value(coefficients, np.linspace(0.0, length, 401))
     assert largest >= samples.max() - slack
     assert smallest <= samples.min() + slack
-
-
