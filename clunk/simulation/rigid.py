@@ -70,9 +70,9 @@ def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Float
     slips = _twists(dampers, shape[..., 0])
     is_dragged, moved = bool(alike(slips.any(axis=-1), 0)), shape[..., 0] * (shape[..., 0] @ load)[..., None]
     if is_dragged:
-        speeds = moved / (slips[..., None, :] @ slips[..., None])[..., 0]
+        speeds = moved / np.sum(slips**2, axis=-1, keepdims=True)
     else:
-        accelerations = moved / (inertia[..., None, :] @ shape**2)[..., 0]
+        accelerations = moved / np.sum(inertia * shape[..., 0] ** 2, axis=-1, keepdims=True)
     return RigidMotion(shape, speeds, accelerations, is_dragged)
 
 

@@ -366,7 +366,7 @@ def _with_wave(
         both[:] = np.linalg.solve(system, both.reshape(count, -1, 1)).reshape(count, size, 2)
     else:
         fastest = _norm(block)
-        length = np.sqrt(drive[:, None] @ drive[..., None])[:, 0, 0]
+        length = np.linalg.norm(drive, axis=-1)
         scaled = (fastest > 0.0) & drive.any(axis=-1)
         scale[scaled, 0, 0] = length[scaled] / fastest[scaled]
         generator[:, :size, size] = drive / scale[..., 0]
