@@ -19,6 +19,7 @@ from clunk.study.parameters import located, parameters
 from clunk.study.rules import count_of_flows, count_of_regimes
 from clunk.study.study import replace_values
 from clunk.sweeping.cells import Grid, leaves_system
+from clunk.sweeping.reduction import Reduction
 
 CRITICAL = Plant(
     inertias=(0.02, 0.01),
@@ -91,9 +92,11 @@ def test_random_drivelines_side_by_side_have_the_bits_that_each_has_alone(seed, 
     points = points_of(study, seed, 12)
     same_as_alone(study, points)
     grid, many, stop = Grid(study, design_of_points(study, points)), np.arange(12), np.zeros(1, "u1")
-    together, alone = grid.run(many, stop), [grid.run(many[k : k + 1], stop) for k in many]
-    for kind in ("records", "details"):
-        side_by_side, one_by_one = getattr(together, kind), np.concatenate([getattr(tile, kind) for tile in alone])
+    together, alone = Reduction(grid), Reduction(grid)
+    together.add(grid.run(many, stop))
+    for k in many:
+        alone.add(grid.run(many[k : k + 1], stop))
+    for side_by_side, one_by_one in zip(together.collected(), alone.collected(), strict=True):
         for name in side_by_side.dtype.names:
             assert side_by_side[name].tobytes() == one_by_one[name].tobytes(), name
     _, events = grid.logged(points, 12)

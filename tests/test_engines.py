@@ -40,7 +40,7 @@ def test_an_interrupt_at_any_moment_leaves_no_thread_waiting(monkeypatch):
     """
 
     class Nothing:
-        tile_cells = 4
+        tile_cells = few_cells = 4
 
         def ordered(self, cells):
             return cells
@@ -57,7 +57,7 @@ def test_an_interrupt_at_any_moment_leaves_no_thread_waiting(monkeypatch):
     def tiles_until_interrupted(seconds):
         with Threads(2) as engine:
             signal.setitimer(signal.ITIMER_REAL, seconds)
-            for _ in run_tiles(engine, Nothing(), np.arange(1_000_000)):
+            for _ in run_tiles(Nothing(), np.arange(1_000_000), engine):
                 pass
 
     monkeypatch.setattr(engines, "_DEFERRED", (signal.SIGALRM,))

@@ -16,7 +16,7 @@ from test_sweeping import digest_of, equal, figure_3_4
 import clunk
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
-from clunk.sweeping import parts as keeping
+from clunk.sweeping import engines, parts as keeping
 from clunk.sweeping.machine import versions
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.sweep import Job, sweep
@@ -46,6 +46,12 @@ def study():
 @pytest.fixture(scope="module")
 def whole(study):
     return sweep(study)
+
+
+@pytest.fixture(autouse=True)
+def by_threads(monkeypatch):
+    """Small sweeps, too, are run in many tiles, as large ones are."""
+    monkeypatch.setattr(engines, "_MOMENT", 0.0)
 
 
 def stopped(study, target, after, error=KeyboardInterrupt, *, engine=None):

@@ -20,7 +20,7 @@ ORIGIN = bytes(range(32))
 
 def assembled(study, batches):
     grid, stop = Grid(study), np.zeros(1, np.uint8)
-    reduction = Reduction(study, grid.design, grid)
+    reduction = Reduction(grid)
     for batch in batches:
         reduction.add(grid.run(np.asarray(batch, np.int64), stop))
     return regime_map(reduction, {})
@@ -81,9 +81,11 @@ def test_events_that_find_no_room_get_it(method, measured, monkeypatch):
     grid = Grid(study, design_of_points(study, ratios))
 
     def bits():
-        tile, run = grid.run(np.arange(50), np.zeros(1, np.uint8)), simulate(study)
-        assert not tile.records["status"].any()
-        arrays = tile.records, tile.details, *grid.logged(ratios, 50), run.phases
+        reduction, run = Reduction(grid), simulate(study)
+        reduction.add(grid.run(np.arange(50), np.zeros(1, np.uint8)))
+        records, details = reduction.collected()
+        assert not records["status"].any()
+        arrays = records, details, *grid.logged(ratios, 50), run.phases
         return [*(array[name].tobytes() for array in arrays for name in array.dtype.names), run.phase_states.tobytes()]
 
     at_once = bits()

@@ -7,7 +7,7 @@ a regime map its CELL and its impacts, of a tolerance map its TOLERANCE_CELL and
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -32,7 +32,7 @@ from clunk.study.study import Study
 
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 _Part = tuple[kernel.Batch, Cells]  # drivelines, and the number among them of each of those that were asked for
-Runs = tuple[Cells, Records, list[Records]]  # positions of runs, their records, and their impacts in pieces
+Runs = tuple[Cells, Records, Records, Records]  # positions of runs, their records, impacts and events
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
@@ -41,9 +41,10 @@ _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _KEPT = 2  # batches of drivelines
 _TILE_BATCHES = 8  # of a tile whose cells have a driveline each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
+_FEW = 32  # cells, whose time tells whether others are worth threads
+_FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
-_NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
@@ -99,11 +100,13 @@ class Grid:
 
     study : Study
     design : Design, by default that of the study's sweep
-    shared : the system that cells without structural parameters share, where it is known already
+    layout : of the tiles
+    tile_cells : the most cells of a tile
+    few_cells : so few, if any, that a signal can wait for them
     structural : the parameters that differ between the cells and with which the system does
     """
 
-    def __init__(self, study: Study, design: Design | None = None, shared: kernel.Batch | None = None) -> None:
+    def __init__(self, study: Study, design: Design | None = None) -> None:
         self.study = study
         self.design = design or design_of(study)
         self.layout = layout_of(study)
@@ -112,17 +115,20 @@ class Grid:
         self.tile_cells = min(_TILE_CELLS[study.solver.method], most_of_load(study))
         if self.structural:
             self.tile_cells = min(self.tile_cells, _TILE_BATCHES * most_prepared(study))
+        solver = study.solver
+        is_slow = solver.method == "rk4" and solver.end_time > _FEW_STEPS * solver.step
+        self.few_cells = 0 if is_slow else min(_FEW, self.tile_cells)
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
-        if shared is not None:
-            self._nominal = shared
 
-    def __reduce__(self) -> tuple[Any, ...]:  # the shared system goes along, so that all processes have its bits
-        return type(self), (self.study, self.design, None if self.structural else self._nominal)
+    def __getstate__(self) -> dict[str, Any]:
+        self.shared()  # goes along to other processes, so that all have its bits
+        return self.__dict__ | {"_kept": {}}
 
     def with_design(self, design: Design) -> Grid:
         """The cells of another design with the same parameters, run with the same drivelines."""
-        grid = Grid(self.study, design, None if self.structural else self._nominal)
-        grid._kept = self._kept
+        self.shared()
+        grid = object.__new__(type(self))
+        grid.__dict__.update(self.__dict__ | {"design": design})
         return grid
 
     def ordered(self, cells: Cells) -> Cells:
@@ -181,139 +187,97 @@ class Grid:
 
     def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:
         """Run cells with these values of the design's parameters, whatever the design's are."""
-        layout, run = self.layout, self._measured if self.study.measured else self._run
+        layout = self.layout
         done, rows, pieces = [np.zeros(0, np.int64)], [np.zeros(0, layout.record)], [np.zeros(0, layout.detail)]
-        for batch, positions, part in self._by_batches(values, cells.size):
-            for finished, records, impacts in self._with_room(run, batch, positions, part, stop, self.study.measured):
-                done.append(finished[: records.size // layout.lashes])
-                rows.append(records)
-                pieces += impacts
+        for positions, records, impacts, _ in self._runs(values, cells.size, stop):
+            done.append(positions)
+            rows.append(records)
+            pieces.append(impacts)
         # with the type, which numpy would otherwise find anew for each piece
-        places, records = np.concatenate(done), np.concatenate(rows, dtype=layout.record)
-        details = np.concatenate(pieces, dtype=layout.detail)
-        if (places[1:] < places[:-1]).any():
-            order = np.argsort(places)
-            rank = np.empty_like(order)
-            rank[order] = np.arange(order.size)
-            owners = np.repeat(layout.rows(rank), records["primary_impacts"])
-            places, records, details = (
-                places[order],
-                records[layout.rows(order)],
-                details[np.argsort(owners, kind="stable")],
-            )
-        return Tile(cells[places], records, details)
-
-    def _with_room(
-        self,
-        run: Callable[[kernel.Batch, kernel.Cases, Flag, int], tuple[Records, list[Records]]],
-        batch: kernel.Batch,
-        positions: Cells,
-        cases: kernel.Cases,
-        stop: Flag,
-        writes_stages: bool = False,
-    ) -> Iterator[Runs]:
-        """Runs with room for few events at first; those that find too little are run again, with more.
-
-        run : by batch, cases, stop and the room for events; those that find too little have no impacts
-        writes_stages : whether changes of stage need room too
-        """
-        lashes, most = self.layout.lashes, self.study.solver.max_events
-        if writes_stages and batch.system.regimes.size > batch.system.regime_strides[lashes]:
-            most += MOST_STAGES
-        room = min(kernel.EVENTS, most)
-        while positions.size and not stop[0]:
-            if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
-                batch = batch.at(cases.drivelines[:1]) if len(batch.each.rates) > 1 else batch
-                cases = cases._replace(drivelines=_THE_ONLY)
-            rows, impacts = run(batch, cases, stop, room)
-            full = (rows["status"][::lashes] == Status.EVENT_BUFFER_FULL) & (room < most)
-            yield positions[: full.size][~full], rows[np.repeat(~full, lashes)], impacts
-            again = np.flatnonzero(full)
-            positions, cases, room = positions[again], cases.at(again), min(kernel.MORE * room, most)
-
-    def _by_batches(
-        self, values: Mapping[str, Floats], count: int
-    ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
-        """Cut cells by the batches of their drivelines.
-
-        values : of each parameter in `count` cells
-        """
-        cases = self.cases(values, count)
-        points, point_of = np.zeros((1, 0)), np.zeros(count, np.int64)
-        if self.structural:
-            combinations = np.stack([values[parameter] for parameter in self.structural], axis=1)
-            points, point_of = np.unique(combinations, axis=0, return_inverse=True)
-        for batch, numbers in self.drivelines(points):
-            of_cells = numbers[point_of.reshape(-1)]
-            positions = np.flatnonzero(of_cells >= 0)
-            used = of_cells[positions]
-            if used.size:
-                yield batch, positions, cases.at(positions)._replace(drivelines=used)
+        records, details = np.concatenate(rows, dtype=layout.record), np.concatenate(pieces, dtype=layout.detail)
+        return Tile(cells[np.concatenate(done)], records, details)
 
     def logged(self, values: Mapping[str, Floats], count: int) -> tuple[Records, Records]:
         """Run cells with these values of parameters and keep their events.
 
         Returns CELL (count, lashes), and EVENT (count, events), times NaN behind the last one.
         """
-        stop, logs = np.zeros(1, np.uint8), []
-        records = np.zeros((count, self.layout.lashes), CELL)
-        for batch, positions, part in self._by_batches(values, count):
-            for done, rows, (events,) in self._with_room(self._logged, batch, positions, part, stop):
-                records[done] = rows.reshape(-1, self.layout.lashes)
-                logs.append((done[records["status"][done, 0] == Status.OK], events))
-        joined = np.zeros((count, max((events.shape[1] for _, events in logs), default=0)), EVENT)
-        joined["time"] = np.nan
-        for done, events in logs:
-            joined[done, : events.shape[1]] = events
-        return records, joined
+        records, pieces = np.zeros((count, self.layout.lashes), CELL), []
+        for positions, rows, _, logs in self._runs(values, count, np.zeros(1, np.uint8), keeps_events=True):
+            records[positions] = rows.reshape(-1, self.layout.lashes)
+            ok = records["status"][positions, 0] == Status.OK
+            pieces.append((positions[ok], logs[ok, : int((~np.isnan(logs["time"][ok])).sum(axis=1).max(initial=0))]))
+        events = np.zeros((count, max((logs.shape[1] for _, logs in pieces), default=0)), EVENT)
+        events["time"] = np.nan
+        for positions, logs in pieces:
+            events[positions, : logs.shape[1]] = logs
+        return records, events
 
-    def _logged(self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int) -> tuple[Records, list[Records]]:
-        """Records of runs, and the events of those that have not failed, with times NaN behind the last one."""
-        logs = np.zeros((len(cases.before), room + 1), EVENT)
-        logs["time"] = np.nan
-        rows, _ = self._run(batch, cases, stop, room, logs)
-        logs = logs[rows["status"][:: self.layout.lashes] == Status.OK]
-        return rows, [logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]]
+    def _runs(
+        self, values: Mapping[str, Floats], count: int, stop: Flag, *, keeps_events: bool = False
+    ) -> Iterator[Runs]:
+        """Run cells with room for few events at first; those that find too little are run again, with more.
 
-    def _measured(
-        self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int
-    ) -> tuple[Records, list[Records]]:
-        """Records and impacts of runs with measures, as the grid's layout has them."""
-        runs, size, capacity = len(cases.before), batch.system.rates.shape[1], room + 1
-        each = min(max(_STATES // capacity, 1), runs)
-        logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
-        records, impacts = [np.zeros(0, self.layout.record)], [np.zeros(0, self.layout.detail)]
-        for begin in range(0, runs, each):
-            part = cases.at(slice(begin, begin + each))
-            logs["time"] = np.nan
-            rows, pieces = self._run(batch, part, stop, room, logs, states)
-            cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([np.zeros(0, IMPACT), *pieces])
-            totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
-            of_impacts = np.zeros((details.size, OF_IMPACTS))
-            output = kernel.Output(cells, details, logs, states)
-            measure_runs(batch, part, output, totals, of_impacts)
-            names = self.study.impacts.quantities
-            columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
-            records.append(_joined(rows, self.layout.record, totals[..., columns].reshape(rows.size, -1)))
-            impacts.append(_joined(details, self.layout.detail, of_impacts[:, columns[: len(names)]]))
-            if len(cells) < len(part.before):
-                break
-        return np.concatenate(records), impacts
+        keeps_events : whether the events are wanted, until the next runs, and not what the config measures
+        """
+        lashes, measures = self.layout.lashes, bool(self.study.measured) and not keeps_events
+        for drivelines, cells, of_cells in self._by_batches(values, count):
+            batch, positions, cases = drivelines, cells, of_cells
+            most = self.study.solver.max_events
+            if measures and batch.system.regimes.size > batch.system.regime_strides[lashes]:
+                most += MOST_STAGES  # changes of stage need room too
+            room = min(kernel.EVENTS, most)
+            while positions.size and not stop[0]:
+                if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
+                    batch = batch.at(cases.drivelines[:1]) if len(batch.each.rates) > 1 else batch
+                    cases = cases._replace(drivelines=_THE_ONLY)
+                at_once = min(positions.size, max(_STATES // (room + 1), 1)) if measures else positions.size
+                logs = np.zeros((at_once, room + 1) if measures or keeps_events else (0, 0), EVENT)
+                states = np.empty((at_once, room + 1, batch.system.rates.shape[1]) if measures else (0, 0, 0))
+                again = []
+                for begin in range(0, positions.size, at_once):
+                    part = positions[begin : begin + at_once]
+                    logs["time"] = np.nan
+                    some = cases.at(slice(begin, begin + at_once))
+                    rows, impacts = self._run(batch, some, stop, room, logs[: part.size], states[: part.size])
+                    full = (rows["status"][::lashes] == Status.EVENT_BUFFER_FULL) & (room < most)
+                    again.append(begin + np.flatnonzero(full))
+                    events = logs[: full.size][~full] if keeps_events else logs[:0]
+                    yield part[: full.size][~full], rows[np.repeat(~full, lashes)], impacts, events
+                    if full.size < part.size:
+                        break
+                left = np.concatenate(again)
+                positions, cases, room = positions[left], cases.at(left), min(kernel.MORE * room, most)
+
+    def _by_batches(
+        self, values: Mapping[str, Floats], count: int
+    ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
+        """Cut cells by the batches of their drivelines, and where each has its own load, by the size of these.
+
+        values : of each parameter in `count` cells
+        """
+        points, point_of = np.zeros((1, 0)), np.zeros(count, np.int64)
+        if self.structural:
+            combinations = np.stack([values[parameter] for parameter in self.structural], axis=1)
+            points, point_of = np.unique(combinations, axis=0, return_inverse=True)
+        most = most_of_load(self.study)
+        for batch, numbers in self.drivelines(points):
+            of_cells = numbers[point_of.reshape(-1)]
+            all_positions = np.flatnonzero(of_cells >= 0)
+            for begin in range(0, all_positions.size, most):
+                positions = all_positions[begin : begin + most]
+                cases = self.cases({key: column[positions] for key, column in values.items()}, positions.size)
+                yield batch, positions, cases._replace(drivelines=of_cells[positions])
 
     def _run(
-        self,
-        batch: kernel.Batch,
-        cases: kernel.Cases,
-        stop: Flag,
-        room: int,
-        logs: Records = _NO_LOGS,
-        states: Floats = _NO_STATES,
-    ) -> tuple[Records, list[Records]]:
-        """CELL, one of each run and lash, of those that were done before `stop` was set; and IMPACT, in pieces.
+        self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int, logs: Records, states: Floats
+    ) -> tuple[Records, Records]:
+        """Records and impacts, as the grid's layout has them, of the runs that were done before `stop` was set.
 
         Runs whose impacts find no room are run again, so that the room for each is doubled then.
 
         room : for the events of each
+        logs, states : of `kernel.Output`, or of no run; with states, what the config measures is measured
         """
         solver, runs, lashes = self.study.solver, len(cases.before), self.layout.lashes
         most = min(room, solver.max_events)
@@ -324,7 +288,20 @@ class Grid:
             done, written = kernel.run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
             impacts.append(found[:written].copy())
             each *= 2
-        return cells[:done].ravel(), impacts
+        details = np.concatenate(impacts, dtype=IMPACT) if impacts else np.zeros(0, IMPACT)
+        if not len(states):
+            return cells[:done].ravel(), details
+        return self._measured(batch, cases, kernel.Output(cells[:done], details, logs, states))
+
+    def _measured(self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output) -> tuple[Records, Records]:
+        """Records and impacts of runs with their measures."""
+        names, details = self.study.impacts.quantities, output.impacts
+        totals = np.full((*output.cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
+        of_impacts = np.zeros((details.size, OF_IMPACTS))
+        measure_runs(batch, cases, output, totals, of_impacts)
+        columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
+        records = _joined(output.cells.ravel(), self.layout.record, totals[..., columns].reshape(-1, len(columns)))
+        return records, _joined(details, self.layout.detail, of_impacts[:, columns[: len(names)]])
 
 
 def layout_of(study: Study) -> Layout:

@@ -28,8 +28,8 @@ from distributed import Client, KilledWorker, LocalCluster
 from clunk.results.files import reason
 from clunk.study.arrays import Cells
 from clunk.sweeping import engines
-from clunk.sweeping.cells import Flag, Tile
-from clunk.sweeping.engines import EngineError, Runner
+from clunk.sweeping.cells import Flag, Grid, Tile
+from clunk.sweeping.engines import EngineError
 from clunk.sweeping.machine import available_cores, cpu_model, versions
 
 LOCAL = "local"
@@ -55,7 +55,7 @@ class Cluster(Executor):
         self._workers = workers or available_cores()
         self._say = say or (lambda _text: None)
         self._open = ExitStack()
-        self._sent: tuple[Runner, Any] | None = None  # the latest runner, and the task that brings it to the workers
+        self._sent: tuple[Grid, Any] | None = None  # the latest grid, and the task that brings it to the workers
         self._threads, self._asked = 0, -_ASKING
 
     def __enter__(self) -> Self:
@@ -103,13 +103,13 @@ class Cluster(Executor):
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
         """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
-        runner, cells, stop = arguments
-        if self._sent is None or self._sent[0] is not runner:
+        grid, cells, stop = arguments
+        if self._sent is None or self._sent[0] is not grid:
             self._check_workers()
             pickled = io.BytesIO()
-            _Pickler(pickled).dump(runner)
+            _Pickler(pickled).dump(grid)
             # a task and not scattered data: a worker that dies takes no copy with it that could not be made again
-            self._sent = runner, self._client.submit(bytes, pickled.getvalue(), pure=False)
+            self._sent = grid, self._client.submit(bytes, pickled.getvalue(), pure=False)
         future: Future[Any] = self._executor.submit(_run, cells, self._sent[1], stop, versions())
         return future
 
@@ -211,11 +211,11 @@ def _quiet() -> Iterator[None]:
 
 def _run(cells: Cells, pickled: bytes, stop: Flag, wanted: Mapping[str, str]) -> Tile:
     _refuse_other_versions(distributed.get_worker().address, versions(), wanted)  # it may have joined just now
-    return engines.run_tile(_runner(pickled), np.array(cells), stop)
+    return engines.run_tile(_grid(pickled), np.array(cells), stop)
 
 
 @functools.lru_cache(2)
-def _runner(pickled: bytes) -> Runner:
-    """The runner of a sweep; kept for other tiles, with the systems that it keeps."""
-    runner: Runner = pickle.loads(pickled)  # noqa: S301  # from the command, by a scheduler that its user trusts
-    return runner
+def _grid(pickled: bytes) -> Grid:
+    """The cells of a sweep; kept for other tiles, with the drivelines that they keep."""
+    grid: Grid = pickle.loads(pickled)  # noqa: S301  # from the command, by a scheduler that its user trusts
+    return grid

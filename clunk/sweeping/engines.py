@@ -12,20 +12,21 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
-from typing import Any, Protocol
+from contextlib import contextmanager, nullcontext
+from typing import Any
 
 import numpy as np
 
-from clunk.core.regimes import System
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import Flag, Layout, Tile
+from clunk.sweeping.cells import Flag, Grid, Tile
 from clunk.sweeping.machine import available_cores
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
+_MOMENT = 0.01  # s of runs that are not: to start threads and to wait for them takes 1 ms
 _AHEAD = 2  # tiles handed to each worker
 _AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
 _ATTENDED = 25  # workers whose tiles of the usual size this process can look after: 4 ms each, of 0.1 s
@@ -35,39 +36,41 @@ class EngineError(ClunkError):
     """An engine that cannot start or go on; its text is one sentence for the user."""
 
 
-class Runner(Protocol):
-    """Runs cells to tiles, in any thread or process: it can be pickled.
-
-    layout : of the tiles
-    tile_cells : the most cells of a tile
-    """
-
-    layout: Layout
-    tile_cells: int
-
-    def ordered(self, cells: Cells) -> Cells:
-        """Cells in the order in which they are best cut into tiles."""
-
-    def shared(self) -> System | None:
-        """The system that all runs share, if they do."""
-
-    def run(self, cells: Cells, stop: Flag) -> Tile:
-        """Run cells; the tile has those that were done before `stop` was set."""
-
-
-def run_tiles(engine: Executor, runner: Runner, cells: Cells) -> Generator[Tile, None, None]:
+def run_tiles(
+    grid: Grid, cells: Cells, engine: Executor | None = None, workers: int | None = None
+) -> Generator[Tile, None, None]:
     """Run cells until none wait or run; yield finished tiles in the order in which they finish.
 
     Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on.
+
+    engine : by default threads; of these, `workers`, or one for each core that this process may use. Work that takes a
+        moment is done without them.
     """
-    stop = np.zeros(1, np.uint8)
+    stop, waiting = np.zeros(1, np.uint8), grid.ordered(cells)
+    if grid.few_cells and (engine is None or isinstance(engine, Threads)):
+        began = time.perf_counter()
+        few, waiting = np.split(waiting, [grid.few_cells])
+        tile, seconds = grid.run(few, stop), time.perf_counter() - began
+        yield tile
+        while waiting.size and waiting.size * seconds < _MOMENT * few.size:
+            few, waiting = np.split(waiting, [grid.tile_cells])
+            yield grid.run(few, stop)
+        if not waiting.size:
+            return
+    opening = nullcontext(engine) if engine is not None else Threads(workers or available_cores())
+    with opening as executor:
+        yield from _in_parallel(executor, grid, waiting, stop)
+
+
+def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Generator[Tile, None, None]:
+    """Run cells on the workers of an engine, until none wait or run, or the generator is left."""
     running: set[Future[Tile]] = set()
-    waiting = runner.ordered(cells)
+    count = waiting.size
     try:
         while True:
             workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
-            while size := next_tile(waiting.size, len(running), cells.size, workers, runner.tile_cells):
-                running.add(engine.submit(run_tile, runner, waiting[:size].copy(), stop))  # may be kept, the rest not
+            while size := next_tile(waiting.size, len(running), count, workers, grid.tile_cells):
+                running.add(engine.submit(run_tile, grid, waiting[:size].copy(), stop))  # may be kept, the rest not
                 waiting = waiting[size:]
             if not running:
                 return
@@ -88,9 +91,9 @@ def run_tiles(engine: Executor, runner: Runner, cells: Cells) -> Generator[Tile,
                 future.cancel()
 
 
-def run_tile(runner: Runner, cells: Cells, stop: Flag) -> Tile:
+def run_tile(grid: Grid, cells: Cells, stop: Flag) -> Tile:
     """Run one tile; the task that engines are given. A process of its own gets a copy of the flag `stop`."""
-    return runner.run(cells, stop)
+    return grid.run(cells, stop)
 
 
 def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: int) -> int:
@@ -102,7 +105,7 @@ def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: 
     waiting : number of cells that wait
     running : number of tiles that run
     cells : number of all cells
-    tile_cells : the runner's
+    tile_cells : the most cells of a tile
     """
     largest = tile_cells * max(1, workers // _ATTENDED)
     least = max(min(largest // 8, -(-cells // workers)), 1)

@@ -1,12 +1,12 @@
 """Finished tiles of a sweep, collected, and the map of them, which does not depend on the order of the tiles.
 
-A sweep is a design, the cells of which a runner runs to tiles, and a map that is made of the tiles. Regime maps, here,
-and tolerance maps (`clunk.sweeping.tolerances`) differ in the runner and in the map's arrays.
+A sweep is a design, the cells of which a grid runs to tiles, and a map that is made of the tiles. Regime maps, here,
+and tolerance maps (`clunk.sweeping.tolerances`) differ in the grid and in the map's arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -16,96 +16,73 @@ import numpy.typing as npt
 
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
-from clunk.results.labels import FAILED_CODE, label_order
+from clunk.results.labels import FAILED, FAILED_CODE, label_order
 from clunk.results.maps import Results
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.study.arrays import Array, Bools, Cells, Records
 from clunk.study.axes import ResultAxis, lash_axis
 from clunk.study.config import study_from_text
-from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
-from clunk.sweeping.cells import Layout, Tile
-from clunk.sweeping.engines import Runner
-
-Flanks = tuple[int, ...]  # of a run's primary impacts in order, +1 opposite, -1 initial
+from clunk.sweeping.cells import Grid, Layout, Tile
 
 
-def flanks_of(pattern: int) -> Flanks:
-    """The flanks that the bits of a pattern stand for, behind its leading 1."""
-    return tuple(OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:])
+def labels_of(records: Records, impacts: Records) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
+    """Labels of runs in `label_order`, and each run's code among them, -1 where it failed.
 
-
-def long_sequences(records: Records, impacts: Records) -> Iterator[tuple[int, Flanks]]:
-    """Positions and flanks of the runs, CELL, whose sequences are too long for a pattern; impacts : IMPACT of all."""
-    long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
-    ends = np.cumsum(records["primary_impacts"])
-    for k in long.tolist():
-        yield k, tuple(impacts["flank"][ends[k] - records["primary_impacts"][k] : ends[k]].tolist())
-
-
-class Labels:
-    """Labels of runs, each with a code: its number in the order in which they were seen first."""
-
-    def __init__(self) -> None:
-        self._codes: dict[str, int] = {}
-
-    def codes_of(self, records: Records, impacts: Records) -> npt.NDArray[np.int32]:
-        """The code of each run's label, -1 where it failed; records : CELL; impacts : IMPACT of them."""
-        patterns, inverse = np.unique(records["pattern"], return_inverse=True)
-        of_patterns = [self._code(flanks_of(each)) if each else FAILED_CODE for each in patterns.tolist()]
-        codes = np.array(of_patterns, np.int32)[inverse.reshape(-1)]
-        for k, flanks in long_sequences(records, impacts):
-            codes[k] = self._code(flanks)
-        return codes
-
-    def _code(self, flanks: Flanks) -> int:
-        return self._codes.setdefault(label(flanks), len(self._codes))
-
-    def ordered(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
-        """The labels, and each code's number among them; the last is that of -1.
-
-        They are in `label_order`, so that they do not depend on which cell finished first.
-        """
-        labels, numbers = in_order(list(self._codes))
-        return labels, np.append(numbers, np.int16(FAILED_CODE))
+    records : CELL
+    impacts : IMPACT, of all runs behind one another
+    """
+    patterns, inverse = np.unique(records["pattern"], return_inverse=True)
+    # the bits of a pattern behind its leading 1 are flanks; it is 0 where they are too many, or the run failed
+    flanks = [[OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:]] for pattern in patterns.tolist()]
+    words = [label(each) if pattern else FAILED for pattern, each in zip(patterns.tolist(), flanks, strict=True)]
+    word_of, ends = inverse.reshape(-1), np.cumsum(records["primary_impacts"])
+    for k in np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK)).tolist():
+        word_of[k] = len(words)
+        words.append(label(impacts["flank"][ends[k] - records["primary_impacts"][k] : ends[k]]))
+    labels, codes = in_order(words)
+    return labels, codes[word_of]
 
 
 def in_order(words: Sequence[str]) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
-    """Labels in `label_order`, and each one's number there. Raises ClunkError where they are more than a map holds."""
-    labels, most = tuple(sorted(words, key=label_order)), np.iinfo(np.int16).max
+    """Labels in `label_order`, and each word's number there, -1 of ``failed``.
+
+    Raises ClunkError where they are more than a map holds.
+    """
+    labels, most = tuple(sorted(set(words) - {FAILED}, key=label_order)), np.iinfo(np.int16).max
     if len(labels) > most:
         raise ClunkError(
             f"The runs have {len(labels):,} labels, and a map can hold {most:,}: shorten solver.end_time, or run fewer "
             "cells."
         )
-    numbers = {word: number for number, word in enumerate(labels)}
+    numbers = {FAILED: FAILED_CODE} | {word: number for number, word in enumerate(labels)}
     return labels, np.array([numbers[word] for word in words], np.int16)
 
 
 class Reduction:
     """The cells of a map, collected tile by tile.
 
+    grid : runs the cells to tiles
     study, design : of the cells
-    runner : makes the tiles
     heading : title and config of the map, where they are known already
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
     """
 
-    def __init__(self, study: Study, design: Design, runner: Runner, heading: dict[str, str] | None = None) -> None:
-        self.study, self.design, self.runner = study, design, runner
+    def __init__(self, grid: Grid, heading: dict[str, str] | None = None) -> None:
+        self.grid, self.study, self.design = grid, grid.study, grid.design
         self._heading = heading
-        self.rows = design.cells * runner.layout.lashes
-        self.known: Bools = np.zeros(design.cells, bool)
+        self.rows = self.design.cells * grid.layout.lashes
+        self.known: Bools = np.zeros(self.design.cells, bool)
         self.done = 0
-        self._records = np.zeros(self.rows, runner.layout.record)
+        self._records = np.zeros(self.rows, grid.layout.record)
         self._details: list[tuple[Cells, Records]] = []  # rows, and the details of these behind one another
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells; those that are there already are passed over."""
-        new, layout = ~self.known[tile.cells], self.runner.layout
+        new, layout = ~self.known[tile.cells], self.grid.layout
         if not new.all():
             kept = np.repeat(new, layout.lashes)
             tile = Tile(
@@ -121,7 +98,7 @@ class Reduction:
         """Records of all rows, and their details, those of each row behind those of the row before it."""
         assert self.known.all()
         rows = np.concatenate([rows for rows, _ in self._details])
-        order = np.argsort(np.repeat(rows, self._records[self.runner.layout.counted_by][rows]), kind="stable")
+        order = np.argsort(np.repeat(rows, self._records[self.grid.layout.counted_by][rows]), kind="stable")
         return self._records, np.concatenate([details for _, details in self._details])[order]
 
     @cached_property
@@ -149,11 +126,9 @@ def heading_of(study: Study) -> dict[str, str]:
 def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
     """The map of the tiles of a `Grid`, with these attributes."""
     records, impacts = reduction.collected()
-    seen, study = Labels(), reduction.study
-    codes = seen.codes_of(records, impacts)
-    labels, final = seen.ordered()
+    (labels, codes), study = labels_of(records, impacts), reduction.study
     measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
-    arrays: dict[str, Array] = {"sequence": final[codes].reshape(reduction.shape)}
+    arrays: dict[str, Array] = {"sequence": codes.reshape(reduction.shape)}
     for name, quantity in (REGIME_QUANTITIES | measured).items():
         if quantity.dimension:
             arrays[name] = impacts[name.removeprefix("impact_")].astype(quantity.dtype)

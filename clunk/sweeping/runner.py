@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import closing, nullcontext
+from contextlib import closing
 from functools import cached_property
 from operator import itemgetter
 
@@ -13,20 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.maps import Results
-from clunk.study.arrays import Cells, Floats
+from clunk.study.arrays import Floats
 from clunk.study.designs import Design, along_run, design_of_points
 from clunk.study.document import dotted
 from clunk.study.errors import ConfigError
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.study import Study
-from clunk.sweeping.cells import Grid, Tile
-from clunk.sweeping.engines import Threads, run_tiles
-from clunk.sweeping.machine import available_cores, provenance
+from clunk.sweeping.cells import Grid
+from clunk.sweeping.engines import run_tiles
+from clunk.sweeping.machine import provenance
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.reduction import Reduction, heading_of, regime_map
-
-_ALONE = 100  # runs: fewer are not worth a second thread
 
 
 class Runner:
@@ -68,8 +66,7 @@ class Runner:
         self.study = study.model_copy(update=dict.fromkeys(NOT_OF_A_RUN))
         self.keys = tuple(dotted(located(study, key)[0]) for key in keys)
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
-        self.workers = workers or getattr(engine, "_max_workers", None) or available_cores()
-        self._engine = engine
+        self._engine, self._workers = engine, workers
         self._allowed: tuple[Floats, Floats] | None = None  # least and greatest values that were looked at
 
     def __call__(self, points: npt.ArrayLike, *, progress: Progress | None = None) -> Results:
@@ -96,22 +93,13 @@ class Runner:
     def run(self, values: Floats, progress: Progress | None = None) -> Results:
         """Run points, (n, keys), whose values are allowed."""
         heading = self._heading | {"config_digest": self.digest(values)}
-        grid = self.grid.with_design(self._design(values))
-        reduction, cells = Reduction(self.study, grid.design, grid, heading), np.arange(len(values))
-        for tile in self._tiles(grid, cells):
-            reduction.add(tile)
-            if progress is not None:
-                progress(reduction.done, cells.size)
+        reduction = Reduction(self.grid.with_design(self._design(values)), heading)
+        with closing(run_tiles(reduction.grid, np.arange(len(values)), self._engine, self._workers)) as tiles:
+            for tile in tiles:
+                reduction.add(tile)
+                if progress is not None:
+                    progress(reduction.done, len(values))
         return regime_map(reduction, self._attributes)
-
-    def _tiles(self, grid: Grid, cells: Cells) -> Iterator[Tile]:
-        """Run cells, a few of them in this thread."""
-        if cells.size <= _ALONE:
-            yield grid.run(cells, np.zeros(1, np.uint8))
-            return
-        opening = nullcontext(self._engine) if self._engine is not None else Threads(self.workers)
-        with opening as engine, closing(run_tiles(engine, grid, cells)) as tiles:
-            yield from tiles
 
     def digest(self, values: Floats) -> str:
         """Digest of all that decides the results of points: the study, and the keys' values, in whatever order."""

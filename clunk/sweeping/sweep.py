@@ -8,7 +8,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.reduction import Reduction, failed_cells, finished_cells, mended, regime_map
-from clunk.sweeping.tolerances import SampleRunner
+from clunk.sweeping.tolerances import SampleGrid, tolerance_map
 
 __all__ = ["Job", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
 
@@ -82,13 +82,13 @@ class Job:
         lashes = len(self.study.lashes)
         _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
         if not has_tolerances(self.study):
-            reduction = Reduction(self.study, self.design, Grid(self.study, self.design))
+            reduction = Reduction(Grid(self.study, self.design))
             if self.earlier is not None:
-                reduction.add(finished_cells(self.study, self.earlier, reduction.runner.layout))
+                reduction.add(finished_cells(self.study, self.earlier, reduction.grid.layout))
             return reduction
         if self.study.measured:
             raise ClunkError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
-        return Reduction(self.study, self.design, SampleRunner(self.study))
+        return Reduction(SampleGrid(self.study))
 
     @cached_property
     def parts(self) -> Parts | None:
@@ -144,10 +144,9 @@ class Job:
 
         Raises as `clunk.sweep`, and ClunkError where the disk has no room for the results.
         """
-        opening = nullcontext(engine) if engine is not None else engine_of(None, workers)
         began = time.perf_counter()
         reduction, parts = self.reduction, self.parts
-        shared = reduction.runner.shared()
+        shared = reduction.grid.shared()
         if shared is not None and (status := Status(shared.status)) != Status.OK:
             raise ClunkError(f"No cell can run: {explained(self.study, status)}.")
         before = reduction.done
@@ -161,24 +160,21 @@ class Job:
             if progress is not None:
                 progress(reduction.done, self.design.cells)
         try:
-            with opening as executor:
-                cells = np.flatnonzero(~reduction.known)
-                # closing it abandons the cells that run at an interrupt
-                with closing(run_tiles(executor, reduction.runner, cells)) as tiles:
-                    for tile in tiles:
-                        reduction.add(tile)
-                        if parts is not None:
-                            parts.add(tile)
-                        if progress is not None:
-                            progress(reduction.done, self.design.cells)
+            # closing it abandons the cells that run at an interrupt
+            with closing(run_tiles(reduction.grid, np.flatnonzero(~reduction.known), engine, workers)) as tiles:
+                for tile in tiles:
+                    reduction.add(tile)
+                    if parts is not None:
+                        parts.add(tile)
+                    if progress is not None:
+                        progress(reduction.done, self.design.cells)
         except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
             if parts is not None:
                 parts.flush()
             if self.path is not None:
                 stopped.add_note(self.kept)
             raise
-        runner = reduction.runner
-        make = runner.map_of if isinstance(runner, SampleRunner) else regime_map
+        make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
         result: AnyMap = make(reduction, provenance(engine))
         if self.earlier is not None and isinstance(result, Results):
             result = mended(self.earlier, result, self.study)
@@ -270,7 +266,7 @@ def engine_of(
     if workers is not None and workers < 1:
         raise EngineError(f"A sweep needs at least one worker, not {workers}.")
     if scheduler is None:
-        return Threads(workers or available_cores(), thread_name_prefix="clunk")
+        return Threads(workers or available_cores())
     if scheduler != "local" and not re.fullmatch(r"[a-z]+://\S+", scheduler):
         raise EngineError(f"A scheduler is an address such as tcp://host:8786, or local, not {scheduler!r}.")
     if scheduler != "local" and workers is not None:
