@@ -24,9 +24,8 @@ from clunk.results.maps import Results
 from clunk.study.arrays import Bools, Codes, Floats, Positions, Records
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
-from clunk.study.keys import key_at
 from clunk.study.models import Fit
-from clunk.study.parameters import located, nominal_value
+from clunk.study.parameters import located, nominal_value, with_draws
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study, content
 from clunk.study.sweeps import Axis, Draw, Sweep
@@ -432,11 +431,7 @@ def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
 
 def _applied(fitted: Fitted, key: str, value: npt.ArrayLike, numbers: Floats) -> Floats:
     """Values of a key after a fit's numbers, (…, d), have been applied to these."""
-    made = np.asarray(value, np.float64)
-    for prior, column in zip(fitted.priors, np.moveaxis(numbers, -1, 0), strict=True):
-        if prior.parameter == key:
-            made = prior.applied(column, made)
-    return made
+    return with_draws(fitted.study, {key: np.asarray(value)}, fitted.priors, np.moveaxis(numbers, -1, 0))[key]
 
 
 def fit_maps(fitted: Fitted, workers: int | None = None) -> tuple[Results, Results]:
@@ -459,8 +454,7 @@ def fit_maps(fitted: Fitted, workers: int | None = None) -> tuple[Results, Resul
 def _axis(fitted: Fitted, k: int) -> Axis:
     """An axis that reaches a little beyond the values of a measured parameter, where that is allowed."""
     parameter, values = fitted.axes[k], fitted.points[:, k]
-    key = key_at(located(fitted.study, parameter)[0])
-    assert key is not None
-    low, high, beyond = values.min(), values.max(), _BEYOND * np.ptp(values)
-    start, stop = max(low - beyond, key.lowest), min(high + beyond, key.highest)
-    return Axis(parameter=parameter, start=float(start if key.allows(start) else low), stop=float(stop), count=_COUNT)
+    key, beyond = located(fitted.study, parameter)[1], _BEYOND * np.ptp(values)
+    ends = ((values.min(), values.min() - beyond), (values.max(), values.max() + beyond))
+    start, stop = (float(wide if key.allows(wide) else end) for end, wide in ends)
+    return Axis(parameter=parameter, start=start, stop=stop, count=_COUNT)

@@ -34,9 +34,8 @@ from clunk.study.arrays import Codes, Floats, Positions, Records
 from clunk.study.axes import variable_of
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, nearest, shorten
-from clunk.study.keys import key_at
 from clunk.study.models import lash_position
-from clunk.study.parameters import located, nominal_value, parameters
+from clunk.study.parameters import located, nominal_value, parameters, with_draws
 from clunk.study.rules import load_complaint
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
@@ -99,14 +98,6 @@ class Candidates:
         columns = zip(self.priors, norm.cdf(coordinates.T), strict=True)
         return np.stack([prior.quantiles(u, nominal_value(self.study, prior.parameter)) for prior, u in columns], 1)
 
-    def values(self, numbers: Floats, measured: Floats) -> dict[str, Floats]:
-        """Values of every parameter, (n,) each, by candidates' numbers, (n, d), at measured values, (n, axes)."""
-        values = dict(zip(self.axes, measured.T, strict=True))
-        for prior, column in zip(self.priors, numbers.T, strict=True):
-            before = values.get(prior.parameter, nominal_value(self.study, prior.parameter))
-            values[prior.parameter] = prior.applied(column, before)
-        return values
-
     def run(self, numbers: Floats) -> Records:
         """Run candidates, (n, d), at all operating points; returns MATCH, (n, points)."""
         together = max(1, _TOGETHER // self.points.size)
@@ -148,10 +139,10 @@ class Candidates:
         numbers : (m, d) of the candidates
         measured : (m, axes)
         """
-        values = self.values(numbers, measured)
+        at = dict(zip(self.axes, measured.T, strict=True))
+        values = with_draws(self.study, at, self.priors, numbers.T)
         for key in self.axes:  # a change may leave its range, together with an offset
-            allowed = key_at(located(self.study, key)[0])
-            assert allowed is not None
+            allowed = located(self.study, key)[1]
             least = np.nextafter(allowed.lowest, np.inf) if allowed.above else allowed.lowest
             values[key] = np.clip(values[key], least, allowed.highest)
         results = runner(runner.values(values)).of_lash(self.lash)
@@ -397,8 +388,7 @@ def check(study: Study, experiment: Experiment) -> None:
             for prior in study.fit.parameters:
                 if prior.parameter == axis:
                     value = float(prior.applied(prior.quantiles(share, measured), value))
-            key = key_at(located(study, axis)[0])
-            assert key is not None
+            key = located(study, axis)[1]
             if not key.allows(value):
                 raise ClunkError(
                     f"{experiment.name}, line {measurement.line}: {axis} is {value:.6g}, as measured or at an end of "

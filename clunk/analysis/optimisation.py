@@ -23,7 +23,7 @@ from clunk.study.arrays import Bools, Floats
 from clunk.study.designs import design_of, has_tolerances, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.models import Optimize
-from clunk.study.parameters import drawn_numbers, nominal_value
+from clunk.study.parameters import drawn_numbers, nominal_value, with_draws
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.progress import Progress, reporting
@@ -145,7 +145,7 @@ class Problem:
         design = design_of(self.study)
         self._cells = design.columns(np.arange(design.cells)) if design.shape else {}
         self._tolerances = study.sweep.tolerances if study.sweep is not None else ()
-        self._drawn = drawn_numbers(study, self._tolerances) if self._tolerances else []
+        self._drawn = drawn_numbers(study, self._tolerances)
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
         keys = [key for each in free for key in each.keys]
@@ -216,15 +216,11 @@ class Problem:
     def _columns(self, candidates: Floats, shape: tuple[int, ...]) -> dict[str, Floats]:
         """Values of all keys in the runs of candidates, for each its cells, and in each cell its draws."""
         columns = {
-            key: np.broadcast_to(candidates[:, k, None, None], shape)
-            for k, free in enumerate(self.optimize.parameters)
-            for key in free.keys
+            key: candidates[:, k, None, None] for k, free in enumerate(self.optimize.parameters) for key in free.keys
         }
-        columns |= {key: np.broadcast_to(values[:, None], shape) for key, values in self._cells.items()}
-        for tolerance, drawn in zip(self._tolerances, self._drawn, strict=True):
-            around = columns.get(tolerance.parameter, np.full(shape, nominal_value(self.study, tolerance.parameter)))
-            columns[tolerance.parameter] = tolerance.applied(drawn, around)
-        return {key: values.ravel() for key, values in columns.items()}
+        columns |= {key: values[:, None] for key, values in self._cells.items()}
+        columns = with_draws(self.study, columns, self._tolerances, self._drawn)
+        return {key: np.broadcast_to(values, shape).ravel() for key, values in columns.items()}
 
     def _release_times(self, columns: dict[str, Floats]) -> Floats:
         """Times from which on the load rests, in the runs [s]."""

@@ -47,7 +47,7 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
-from clunk.study.parameters import drawn_numbers, located, nominal_value
+from clunk.study.parameters import drawn_numbers, located, with_draws
 from clunk.study.records import as_text
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
@@ -253,7 +253,7 @@ def thresholds(
     position, outcome = lash_position(lash, study.lash_names), parse(of, study)
     shape = tuple(len(axis.values) for axis in axes)
     tolerances = study.sweep.tolerances if study.sweep is not None else ()
-    drawn = drawn_numbers(study, tolerances) if tolerances else []
+    drawn = drawn_numbers(study, tolerances)
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
     keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
     points = np.zeros(math.prod(shape) * len(along_axis.values), POINT)
@@ -267,9 +267,7 @@ def thresholds(
             columns = {axis.parameter: axis.values[at] for axis, at in zip(axes, places, strict=True)}
             columns[along_axis.parameter] = values
             draws = columns.pop(DRAW, np.ones(1)).astype(np.int64)
-            for tolerance, numbers in zip(tolerances, drawn, strict=True):
-                around = columns.get(tolerance.parameter, nominal_value(study, tolerance.parameter))
-                columns[tolerance.parameter] = tolerance.applied(numbers[draws - 1], around)
+            columns = with_draws(study, columns, tolerances, (numbers[draws - 1] for numbers in drawn))
             runs = point_runs(point_runs.runner.values(columns), more=4 * values.size)
             runs["cell"], runs["value"] = cells, values
             return runs

@@ -7,7 +7,7 @@ Neither are the ends of shafts and lashes: another topology is another study.
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from clunk.study.arrays import Floats
@@ -148,6 +148,17 @@ def drawn_numbers(config: Config, draws: Sequence[Draw]) -> list[Floats]:
         return []
     points = config.sweep.sampling.points(len(draws)).T
     return [draw.sample(each, unswept_value(config, draw.parameter)) for draw, each in zip(draws, points, strict=True)]
+
+
+def with_draws(
+    config: Config, values: Mapping[str, Floats], draws: Sequence[Draw], numbers: Iterable[Floats]
+) -> dict[str, Floats]:
+    """Values of parameters after draws, one after the other: of a key without any, on its nominal value."""
+    drawn = dict(values)
+    for draw, each in zip(draws, numbers, strict=True):
+        around = drawn.get(draw.parameter, nominal_value(config, draw.parameter))
+        drawn[draw.parameter] = draw.applied(each, around)
+    return drawn
 
 
 def unswept_value(config: Config, parameter: str) -> float:
