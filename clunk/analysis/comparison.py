@@ -146,7 +146,7 @@ def compare(a: Results, b: Results) -> Comparison:
     Raises
     ------
     ClunkError
-        Where the axes are not the same, or a config cannot be read.
+        Where the axes are not the same.
 
     Examples
     --------
@@ -179,7 +179,7 @@ def compare(a: Results, b: Results) -> Comparison:
         identical=identical,
         configs_equal=a.config_digest == b.config_digest,
         largest_differences=() if identical else tuple(_largest_differences(a, b, compared & ~differs)),
-        config_differences=_unlike(_flat_config(a, "A"), _flat_config(b, "B")),
+        config_differences=_unlike(*(dict(leaves(tomllib.loads(each.config))) for each in (a, b))),
         provenance_differences=_unlike({**a.attributes, "created": ""}, {**b.attributes, "created": ""}),
         verdict=_verdict(cells, differing, elsewhere),
         titles={"a": a.title, "b": b.title},
@@ -311,12 +311,3 @@ def _bits(results: Results) -> list[Any]:
 def _unlike(a: dict[str, Any], b: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The keys that have different values, and these values."""
     return {key: {"a": a.get(key), "b": b.get(key)} for key in {**a, **b} if a.get(key) != b.get(key)}
-
-
-def _flat_config(results: Results, which: str) -> dict[str, Any]:
-    """Values of a map's config by dotted key."""
-    try:
-        document = tomllib.loads(results.config)
-    except tomllib.TOMLDecodeError as error:
-        raise ClunkError(f"The config that {which} carries cannot be read as TOML ({error}).") from error
-    return dict(leaves(document))

@@ -297,9 +297,8 @@ class Lines:
         tip, chord = positions[asked, 0], chord[asked]
         way = positions[asked, 1:].mean(axis=1) - tip
         slant = cross(chord, way)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            at, apart = cross(chord, ends[asked, 0] - tip) / slant, CHORD * _length(chord) / np.abs(slant)
-            shares = np.clip(np.nan_to_num(np.stack([at - apart, at + apart], axis=1), nan=0.5), 0.0, 1.0)
+        at, apart = cross(chord, ends[asked, 0] - tip) / slant, CHORD * _length(chord) / np.abs(slant)
+        shares = np.clip(np.stack([at - apart, at + apart], axis=1), 0.0, 1.0)
         places = tip[:, None] + shares[..., None] * way[:, None]
         labels = self._run(places.reshape(-1, 2))["outcome"].reshape(-1, 2)
         is_off[asked] = (labels != self.triangles.outcome[corners[asked, :2]]).any(axis=1)

@@ -17,6 +17,7 @@ most, look for what is hidden.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 
@@ -208,7 +209,7 @@ class PointRuns:
         self.runner = Runner(measuring(study, [outcome]), parameters, engine=engine)
         self.outcome, self._lash = outcome, str(lash + 1)
         self._progress, self.count = progress, 0
-        self.failures: dict[Status, int] = {}  # number of runs by cause
+        self.failures = Counter[Status]()  # number of runs by cause
         self._codes = {word: code for code, word in enumerate(words)}
 
     @property
@@ -241,8 +242,7 @@ class PointRuns:
         known = [self._codes.setdefault(self._word(word), len(self._codes)) for word in words.tolist()]
         points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
         points["measure"][finished] = self._measure(results)[finished]
-        for status, count in zip(*np.unique(results.status[~finished], return_counts=True), strict=True):
-            self.failures[Status(status)] = self.failures.get(Status(status), 0) + int(count)
+        self.failures.update(map(Status, results.status[~finished].tolist()))
         self.count += len(values)
         if self._progress is not None:
             self._progress(self.count, self.count + more if more else 0)

@@ -141,7 +141,7 @@ class Boundaries:
     def curves(self) -> list[Curve]:
         """The curves."""
         parts = _parts(self.vertices, self.curve_counts)
-        codes = zip(self.curve_left.tolist(), self.curve_right.tolist(), self.curve_event.tolist(), strict=True)
+        codes = np.column_stack([self.curve_left, self.curve_right, self.curve_event]).tolist()
         return [
             Curve(part, self.label(left), self.label(right), EVENTS[event])
             for part, (left, right, event) in zip(parts, codes, strict=True)
