@@ -239,7 +239,7 @@ def test_simulate_of_a_sweep_takes_the_config_s_own_values_where_none_are_named(
 
 def test_simulate_draws_and_saves_runs_and_overlays(command, here):
     config = ROOT / "configs/nominal.toml"
-    for figure in ("everything", "angles", "speeds", "backlash", "closeup", "acceleration", "small-gap"):
+    for figure in ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap"):
         overlay = ["--overlay", "load.ratio=2,5"] if figure == "angles" else []
         code, _, err = command("simulate", config, *overlay, "--figure", figure, "-o", "run.png")
         assert code == 0

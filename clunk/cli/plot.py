@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from clunk.cli import completion, terminal
+from clunk.cli import completion
 from clunk.cli.options import PATH, at_option, nearest_values
 
 _NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
@@ -93,7 +93,5 @@ def plot(
             of_quantity = "" if output and quantity else f"-{re.sub(_NO_FILE, '_', name)}"
             target = base.with_name(f"{base.stem}{of_lash}{of_quantity}{base.suffix}")
             figure = plots.draw(part, name, thresholds, **look)
-            if at and output is None and target.exists():
-                terminal.complain(f"{target} is replaced by a picture of the slice; -o names another file")
             plots.save(figure, target)
             click.echo(str(target))

@@ -20,7 +20,7 @@ _LEGEND = (
     "(time: after the load step; q': rate of the gap just before the event; Qi: peak-to-peak acceleration from a "
     "primary impact to the next; O, I: primary impacts on the opposite and the initial flank; more: clunk help words)"
 )
-_FIGURES = ("everything", "angles", "speeds", "backlash", "closeup", "acceleration", "small-gap")
+_FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap")
 
 
 @click.command()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 
 GoOn = Callable[..., None]  # raises Superseded where a newer request has come; takes what progress is told
 
@@ -22,7 +22,6 @@ class Newest:
         self._on_error = on_error
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"clunk {name}")
         self._requests = 0
-        self._submitted: Future[None] | None = None
 
     def submit(self, work: Callable[[GoOn], None]) -> None:
         """Do this work, and none that was submitted before."""
@@ -42,12 +41,7 @@ class Newest:
             except Exception as error:
                 self._on_error(error)
 
-        self._submitted = self._worker.submit(attempt)
-
-    def wait(self, seconds: float) -> None:
-        """Wait until the newest work is done, for so long at most."""
-        if self._submitted is not None:
-            wait([self._submitted], seconds)
+        self._worker.submit(attempt)
 
     def close(self) -> None:
         """Stop what runs and end the thread."""

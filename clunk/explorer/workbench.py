@@ -35,7 +35,6 @@ _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
 _HELP = "   ·   click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow the pointer"
 _HELP_WITHOUT_MAP = "   ·   p: pin this run · u: unpin"
-_FIRST_RUN, _RUN = 10.0, 0.2  # s for which a map waits for a run at most; the first may have to compile
 _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
 
 _KEEP_LINK = """
@@ -353,7 +352,6 @@ class Workbench:
                     self._say_soon(note)
                 warm_up(subject.study)  # so that the first map with other numbers does not wait for it
                 return
-            self._newest_run.wait(_FIRST_RUN if self._run is None else _RUN)  # it is wanted at once
             status = f"the {'nominal ' if nominal else ''}map with these numbers, which is in no file"
             if self._latest is not None and self._latest[0] == (slices, numbers):
                 show(self._latest[1], status)

@@ -28,7 +28,6 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.maps import Results
 from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.errors import shorten
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.records import counted
 
@@ -73,21 +72,12 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
             paint[cells] = list(bytes.fromhex(colour[1:]))
             notes.append(Note(f"{text}: {counted(int(np.count_nonzero(cells)), 'cell')}", colour))
     differing = f"{comparison.differing:,} of {comparison.cells:,} cells differ"
-    layers = replace(layers, paint=paint, notes=tuple(notes), facts=(differing, *_differences(comparison)))
+    keys = list(comparison.config_differences)
+    more = f" and {len(keys) - _LISTED} more keys" if len(keys) > _LISTED else ""
+    configs = f"configs differ in {', '.join(keys[:_LISTED])}{more}" if keys else "the same config"
     title = f"Differences: {a.title}" if len(set(comparison.titles.values())) == 1 else "Differences between two maps"
-    return map_figure([replace(layers, title=title, undecided=np.zeros_like(layers.undecided))])
-
-
-def _differences(comparison: Comparison) -> list[str]:
-    """Titles and keys of the configs of both maps that differ, for the line under the title."""
-    pairs = {key: (each["a"], each["b"]) for key, each in comparison.config_differences.items()}
-    facts = [f"{letter}: {title}" for letter, title in zip("AB", pairs.pop("title", ()), strict=False)]
-    changes = []
-    for key, pair in pairs.items():
-        a, b = ("(not given)" if value is None else shorten(value, 30) for value in pair)
-        changes.append(f"{key} = {a} → {b}")
-    more = f" and {len(changes) - _LISTED} more keys" if len(changes) > _LISTED else ""
-    return [*facts, f"A → B: {', '.join(changes[:_LISTED])}{more}" if changes else "A and B: the same config"]
+    layers = replace(layers, title=title, undecided=np.zeros_like(layers.undecided), facts=(differing, configs))
+    return map_figure([replace(layers, paint=paint, notes=tuple(notes))])
 
 
 def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure:

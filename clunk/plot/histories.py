@@ -19,7 +19,6 @@ from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, MINUS, Look, PlotErro
 from clunk.simulation.history import History, Impact
 from clunk.simulation.load import load_step
 from clunk.simulation.small_gap import SmallGap
-from clunk.study.arrays import Floats
 from clunk.study.errors import listing
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 
@@ -153,28 +152,17 @@ def outcome(run: History) -> str:
 
 
 def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """Angle of every inertia; where the driveline rolls, less its rolling."""
-    rolls = any(run.twist is not run.angle for run in runs)
-    _draw_inertias(ax, runs, looks, [run.twist for run in runs], "θ")
-    ax.set_ylabel("Rotation less\nrolling [rad]" if rolls else "Rotation [rad]")
-
-
-def draw_speeds(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """Speed of every inertia, its rolling included."""
-    _draw_inertias(ax, runs, looks, [run.velocity for run in runs], r"$\mathregular{\dot{\theta}}$")
-    ax.set_ylabel("Speed [rad/s]")
-
-
-def _draw_inertias(ax: Axes, runs: Runs, looks: Looks, values: Sequence[Floats], symbol: str) -> None:
-    """Values of every inertia, (M, n) for each run: each inertia in its colour, each run in its dashes."""
+    """Angle of every inertia in its colour, of each run in its dashes; where the driveline rolls, less its rolling."""
     names, notes = runs[0].study.driveline.names, []
-    for inertia, colour in zip(range(max(columns.shape[1] for columns in values)), cycle(LINE_COLOURS), strict=False):
-        for run, columns in zip(runs, values, strict=True):
-            ax.plot(run.time, columns[:, inertia : inertia + 1], zorder=3, **looks[run.name] | {"color": colour})
+    for inertia, colour in zip(range(max(run.twist.shape[1] for run in runs)), cycle(LINE_COLOURS), strict=False):
+        for run in runs:
+            ax.plot(run.time, run.twist[:, inertia : inertia + 1], zorder=3, **looks[run.name] | {"color": colour})
         name = style.plain(names[inertia]) if names else ""
-        notes.append(Line2D([], [], color=colour, label=f"{symbol}{_index(inertia + 1)} {name}".rstrip()))
+        notes.append(Line2D([], [], color=colour, label=f"θ{_index(inertia + 1)} {name}".rstrip()))
     beside: Look = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
     ax.legend(handles=notes, handlelength=1.4, frameon=False, **beside)
+    rolls = any(run.twist is not run.angle for run in runs)
+    ax.set_ylabel("Rotation less\nrolling [rad]" if rolls else "Rotation [rad]")
 
 
 def draw_torque(ax: Axes, runs: Runs, looks: Looks) -> None:
@@ -271,7 +259,6 @@ _OF_LASH = (draw_backlash, draw_acceleration)
 FIGURES: dict[str, Sequence[tuple[Callable[[Axes, Runs, Looks], None], float]]] = {
     "everything": ((draw_torque, 0.8), (draw_angles, 2.7), (draw_backlash, 2.2), (draw_acceleration, 2.3)),
     "angles": ((draw_angles, 3.2), (draw_torque, 0.8)),
-    "speeds": ((draw_speeds, 3.2), (draw_torque, 0.8)),
     "backlash": ((draw_backlash, 2.3),),
     "acceleration": ((draw_acceleration, 2.6),),
     "closeup": ((draw_backlash, _LOWEST - _AROUND),),

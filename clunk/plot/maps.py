@@ -151,7 +151,8 @@ def map_figure(
     for ax, name in zip(axes, names, strict=False):
         ax.set_title(name, loc="left", fontsize=9.0)
     if shades is not None:
-        add_bar(figure, axes, shades, first)
+        ticks = ticker.MaxNLocator(integer=True) if first.quantity.type == WHOLE else None
+        figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=first.value_label, ticks=ticks)
     for ax, layers in zip(axes, panels, strict=True):
         _paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
     lay_out(figure, axes[0], first.title, line or first.subtitle())
@@ -241,12 +242,6 @@ def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
     if panels[0].quantity.name == "margin":
         return ScalarMappable(colors.CenteredNorm(0.0, max(-low, abs(high)) or 1.0), "PuOr")
     return ScalarMappable(colors.Normalize(low, high if high > low else low + 1.0), "viridis")
-
-
-def add_bar(figure: Figure, axes: Sequence[Axes], shades: ScalarMappable, layers: Layers) -> None:
-    """Draw the colour bar of a quantity beside the axes."""
-    ticks = ticker.MaxNLocator(integer=True) if layers.quantity.type == WHOLE else None
-    figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=layers.value_label, ticks=ticks)
 
 
 def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
