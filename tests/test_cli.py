@@ -245,7 +245,7 @@ def test_simulate_draws_and_saves_runs_and_overlays(command, here):
         assert code == 0
         assert "-> run.png" in err
     assert (here / "run.png").stat().st_size > 10_000
-    assert command("simulate", config, "-o", "RUN.CSV", "--step", "1e-3")[0] == 0
+    assert command("simulate", config, "-o", "RUN.CSV")[0] == 0
     header, first = (here / "RUN.CSV").read_text().splitlines()[:2]
     assert header.startswith("time_s,")
     assert first.startswith("0.0,-0.1,")
@@ -402,7 +402,6 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(command,
         (["simulate", "small.toml", "-o", "run.docx"], ".csv"),
         (["simulate", "small.toml", "-o", "results/small.h5"], "results/small.h5"),
         (["simulate", "small.toml", "--figure", "closeup"], "-o"),
-        (["simulate", "small.toml", "--step", "-1", "-o", "run.png"], "--step"),
         (["simulate", "small.toml", "--overlay", "load.ratio", "-o", "run.png"], "--overlay"),
         (["simulate", "small.toml", "--overlay", "lash.radius=1", "--overlay", "lash.radius=2"], "twice"),
         (["simulate", "small.toml", "--overlay", "lash.radius=1,2", "-o", "run.csv"], "one run"),

@@ -43,7 +43,6 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
     metavar="NAME",
     help=f"Which picture: {', '.join(_FIGURES)} [everything].",
 )
-@click.option("--step", type=float, metavar="T", help="Between saved or drawn samples [solver.step], s.")
 @json_option
 def simulate(
     source: Path,
@@ -53,7 +52,6 @@ def simulate(
     overlay: tuple[str, ...],
     output: Path | None,
     figure: str,
-    step: float | None,
     as_json: bool,
 ) -> None:
     """Run one load step and print its events.
@@ -73,10 +71,8 @@ def simulate(
     from clunk.simulation.trajectory import simulate as run
     from clunk.study.models import lash_position
 
-    if output is None and (figure != "everything" or step is not None):
-        raise click.UsageError("--figure and --step need -o, the file to draw or save to.")
-    if step is not None and not step > 0.0:
-        raise click.UsageError(f"--step {step:g}: must be greater than 0 (s).")
+    if output is None and figure != "everything":
+        raise click.UsageError("--figure needs -o, the file to draw.")
     studies = _studies_to_simulate(source, overrides, at, overlay)
     if output is not None:
         files.check(output, (*files.PICTURES, ".csv"), reads=source)
@@ -99,7 +95,7 @@ def simulate(
     if output is not None:
         if lash is not None:
             runs = [(name, each.lashes[k]) for (name, each), k in zip(runs, positions, strict=True)]
-        _save_runs(runs, output, step, figure, each_lash=lash is None)
+        _save_runs(runs, output, figure, each_lash=lash is None)
 
 
 def _studies_to_simulate(
@@ -138,23 +134,21 @@ def _studies_to_simulate(
     return studies
 
 
-def _save_runs(
-    runs: list[tuple[str, Trajectory]], output: Path, step: float | None, figure: str, *, each_lash: bool
-) -> None:
+def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str, *, each_lash: bool) -> None:
     """Save or draw runs; each_lash : whether pictures show every lash, or that of the trajectories alone."""
     from clunk.results.export import save_history
     from clunk.simulation import history as histories
 
     if output.suffix.lower() == ".csv":
         ((_, trajectory),) = runs
-        save_history(output, histories.sample(trajectory, step))
+        save_history(output, histories.sample(trajectory))
         terminal.say_written(output)
         return
     from clunk.plot import histories as figures
     from clunk.simulation.small_gap import SmallGap
 
     latest = max(histories.shown_until(trajectory) for _, trajectory in runs)
-    drawn = [histories.sample(trajectory, step, latest, name=name) for name, trajectory in runs]
+    drawn = [histories.sample(trajectory, until=latest, name=name) for name, trajectory in runs]
     if figure == "small-gap":
         picture = figures.small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study))
     else:
@@ -201,20 +195,16 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
 
 def _measures(trajectory: Trajectory) -> dict[str, Any]:
     """Measures of a run that the config asks for besides Q and V; empty where it asks for none."""
-    import numpy as np
-
-    from clunk.sweeping.cells import Grid
+    from clunk.sweeping.runner import Runner
 
     study = trajectory.study
     if not study.measured:
         return {}
-    cell = Grid(study.model_copy(update={"sweep": None})).run_at(np.arange(1), {}, np.zeros(1, np.uint8))
-    behind = np.cumsum(cell.records["primary_impacts"])[trajectory.lash]
-    of_lash = cell.details[behind - trajectory.primaries.size : behind]
-    wanted = [*study.impacts.quantities, *(each.name for each in study.measures)]
+    runs = Runner(study, ["load.step_time"])([[study.load.step_time]])
+    run, of_impacts = runs.of_lash(study.lash_names[trajectory.lash]), study.impacts.quantities
     return {
-        "measures": {name: float(cell.records[name][trajectory.lash]) for name in wanted},
-        "impact_measures": {name: of_lash[name].tolist() for name in study.impacts.quantities},
+        "measures": {name: run.values(name).item() for name in (*of_impacts, *(each.name for each in study.measures))},
+        "impact_measures": {name: run.values(f"impact_{name}").tolist() for name in of_impacts},
     }
 
 
