@@ -376,7 +376,7 @@ def test_hdf5_and_netcdf_readers_do_not_mind_the_checksum(tmp_path: Path) -> Non
     store.write_results(path, example(RATIO, BACKLASH))
     raw = path.read_bytes()
     assert raw[-78:] == b"clunk-sha256:" + hashlib.sha256(raw[:-78]).hexdigest().encode() + b"\n"
-    assert netcdf.check(path)
+    assert netcdf.read(path).has_checksum
     with h5py.File(path) as file:
         assert file["severity"].shape == (5, 4)
     with xarray.open_dataset(path, engine="h5netcdf") as dataset:
@@ -388,12 +388,12 @@ def test_a_file_that_another_program_has_changed_has_no_checksum_and_is_read_by_
     store.write_results(path, example(RATIO, BACKLASH))
     with h5py.File(path, "r+") as file:
         file.attrs["comment"] = "looked at"
-    assert not netcdf.check(path)
+    assert not netcdf.read(path).has_checksum
     assert store.read_results(path).attributes["comment"] == "looked at"
     with h5py.File(path, "r+") as file:
         file["severity"][0, 0] = 1.0
     with pytest.raises(netcdf.StoreError) as raised:
-        netcdf.check(path)
+        netcdf.read(path)
     assert_sentence(raised.value, path, "content_digest")
 
 
@@ -405,7 +405,7 @@ def test_what_is_behind_the_hdf5_is_its_checksum_or_nothing(tmp_path: Path, chan
     if changed == "bit":
         raw[-70] ^= 1
     path.write_bytes({"bit": raw, "cut": raw[:-1], "longer": raw + b"\n"}[changed])
-    for reader in (store.read_results, netcdf.check):
+    for reader in (store.read_results, netcdf.read):
         with pytest.raises(netcdf.StoreError) as raised:
             reader(path)
         assert_sentence(raised.value, path, "damaged")
@@ -427,7 +427,7 @@ for k in range(2 * int(sys.argv[2])):
         changed = raw[: chance.randrange(len(raw) - 78)]
     path.write_bytes(changed)
     faulthandler.dump_traceback_later(10, exit=True)
-    for reader in (store.read_results, netcdf.check):
+    for reader in (store.read_results, netcdf.read):
         try:
             reader(path)
         except netcdf.StoreError as error:

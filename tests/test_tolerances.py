@@ -243,7 +243,7 @@ class TestFile:
                 other.unit,
             )
             assert np.array_equal(one.values, other.values)
-        assert netcdf.check(path)
+        assert netcdf.read(path).has_checksum
 
     def test_xarray_finds_labels_by_their_name(self, found, path):
         with xarray.open_dataset(path, engine="h5netcdf") as data:

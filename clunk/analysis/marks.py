@@ -5,7 +5,6 @@ import numpy as np
 from clunk.results.maps import Map
 from clunk.study.arrays import Floats
 from clunk.study.config import study_from_text
-from clunk.study.loads import is_ideal_step
 from clunk.study.study import replace_values
 
 
@@ -21,7 +20,7 @@ def thresholds_of(results: Map) -> list[float]:
     if results.lashes or parameter is None:
         return []
     study = study_from_text(results.config, source="the results file's config")
-    if not is_ideal_step(study.load) or any(shaft.friction for shaft in study.driveline.shafts):
+    if study.load.profile != "step" or any(shaft.friction for shaft in study.driveline.shafts):
         return []
     from clunk.simulation.small_gap import rigid_contact_thresholds, thresholds_on  # 0.3 s, for no other map
 

@@ -43,7 +43,7 @@ def info(file: Path, show_config: bool, show_map: bool, check: bool, as_json: bo
     from clunk.results import netcdf, store
     from clunk.study.loads import PROFILES, numbers
 
-    has_checksum = netcdf.check(file) if check else False
+    has_checksum = check and netcdf.read(file).has_checksum
     results = store.read_map(file)
     if show_map and as_json:
         raise click.UsageError("--map is for people and does not go with --json; clunk export writes each cell.")

@@ -28,8 +28,9 @@ from clunk.results.quantities import (
     Quantity,
     measured_quantities,
     named_numbers,
+    no_quantity,
 )
-from clunk.study.arrays import Array, Bools, Floats, Integers
+from clunk.study.arrays import Array, Floats, Integers
 from clunk.study.axes import LASH, ResultAxis
 from clunk.study.designs import Design
 from clunk.study.document import value_at
@@ -123,7 +124,12 @@ class Map(Design, ABC):
         """Entries of the dimensions behind the axes: of ``impact`` numbers, of ``label`` the labels and so on."""
 
     def values(self, name: str) -> Array:
-        """Values of one of the quantities, in cells; those of impacts in a flat array."""
+        """Values of one of the quantities, in cells; those of impacts in a flat array.
+
+        Raises ClunkError where the map has none of this name.
+        """
+        if name not in self.arrays:
+            raise no_quantity(name, self.arrays)
         return self.arrays[name]
 
     @cached_property
@@ -164,6 +170,11 @@ class Map(Design, ABC):
         """
         position = lash_position(name, self.lash_names)
         return self.at({LASH: self.axes[-1].values[position]}) if self.lashes else self
+
+    @property
+    def label_map(self) -> npt.NDArray[np.str_]:
+        """Label of each cell, shape; ``failed`` where the run failed. Of a tolerance map, the most likely one."""
+        return np.array([*self.labels, FAILED])[self.sequence]  # the code -1 is the last
 
     def counts(self) -> dict[str, int]:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0).
@@ -281,15 +292,10 @@ class Results(Map):
         return np.where(self.sequence == FAILED_CODE, np.nan, self.values(name).astype(np.float64))
 
     @property
-    def cut_off(self) -> Bools:
-        """Cells whose run ended at ``solver.end_time`` before it was proved that nothing follows, shape."""
-        return np.asarray((self.status == Status.OK) & (self.quality & QUALITY_COMPLETE == 0))
-
-    @property
     def caveats(self) -> list[str]:
-        """Phrases on what the labels do not tell: runs that were cut off."""
+        """Phrases on what the labels do not tell: runs that ended before it was proved that nothing follows."""
         run = self.of_lash()  # all lashes of a run end together
-        count = int(np.count_nonzero(run.cut_off))
+        count = int(np.count_nonzero((run.status == Status.OK) & (run.quality & QUALITY_COMPLETE == 0)))
         cells = counted(run.sequence.size, "run")
         return [f"{count:,} of {cells} ended at solver.end_time with more to follow"] if count else []
 
@@ -298,11 +304,6 @@ class Results(Map):
         """Numbers of the primary impacts, as many as the cell with the most has, and at least 1."""
         most = max(1, int(self.primary_impacts.max()))
         return {"impact": np.arange(1, most + 1, dtype=np.int32)}
-
-    @property
-    def label_map(self) -> npt.NDArray[np.str_]:
-        """Label of each cell, shape; ``failed`` where the run failed."""
-        return np.array([*self.labels, FAILED])[self.sequence]  # the code -1 is the last
 
     def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
         """Label, quantities and primary impacts of the cell nearest to these values, by name.

@@ -245,11 +245,6 @@ def read(path: str | os.PathLike[str]) -> Dataset:
     return dataset
 
 
-def check(path: str | os.PathLike[str]) -> bool:
-    """Read a file as `read` does; returns whether it has a checksum. Raises StoreError."""
-    return read(path).has_checksum
-
-
 def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) -> Variable:
     """A variable as it is stored, of what each impact has without the padding; words as text."""
     dims = (name,) if stored.is_scale else tuple(dim[0].name.removeprefix("/") for dim in stored.dims)

@@ -31,7 +31,7 @@ import csv
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -145,9 +145,9 @@ class Quantity:
         probability. In cells that failed both are NaN. Labels are texts, there ``failed``. Where nothing happens no
         event is later than the load step: in a relation the time of the last counts as 0.
         """
-        sequence = results.arrays["sequence"]
         if self.type == TEXT:
-            return np.array([*results.labels, FAILED])[sequence]  # the code of failed cells, -1, is the last
+            return results.label_map
+        sequence = results.arrays["sequence"]
         if self.of_label("NI") is not None:
             return results.of_labels([self.of_label(label) or 0.0 for label in results.labels])
         if self.name == CHATTER:
@@ -174,13 +174,6 @@ class Quantity:
         if self.name != NOMINAL:
             return self
         return replace(self, words=f"the label is the nominal {nominal}", bound=nominal)
-
-
-def likely_name(text: str, names: Iterable[str]) -> str | None:
-    """The name that a word most likely means: that of the quantity with this symbol, or the nearest one, if any."""
-    names = list(names)
-    symbols = {name: each.symbol for quantities in _MAPS.values() for name, each in quantities.items()}
-    return next((name for name in names if symbols.get(name) == text.strip()), None) or nearest(text, names)
 
 
 def _read() -> dict[str, dict[str, Quantity]]:
@@ -245,7 +238,7 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     words = _REQUEST.fullmatch(text)
     name, relation, bound = words.groups("") if words else (text, "", "")
     if name not in known:
-        raise ClunkError(_unknown(text, name, source))
+        raise no_quantity(text, known, name)
     restitution = isinstance(source, Study) and any(lash.contact.model == "restitution" for lash in source.lashes)
     if name in _UNDEFINED and restitution:
         raise ClunkError(f"{name} is not defined for the restitution model; {_UNDEFINED[name]} is.")
@@ -283,14 +276,16 @@ def _related(base: Quantity, relation: str, bound: float | str) -> Quantity:
     return replace(described, base=base, relation=relation, bound=bound)
 
 
-def _unknown(text: str, name: str, source: Study | AnyMap) -> str:
-    known = [*quantities_of(source)]
-    likely = likely_name(name, known)
+def no_quantity(text: str, known: Collection[str], name: str = "") -> ClunkError:
+    """Error for a quantity that is not among the known ones; name : without what it is compared with."""
+    name = name or text.strip()
+    symbols = {each.symbol: key for quantities in _MAPS.values() for key, each in quantities.items() if key in known}
+    likely = (symbols.get(name) if name else None) or nearest(name, known)
     hint = f"; did you mean {likely}?" if likely else "."
     if name in OF_IMPACTS:
         hint = f"; impacts.quantities = [{name!r}] in the config measures it."
     examples = ["severity<=8000", "label=DS(1)SS(1)"]
-    return f"There is no quantity {shorten(text)}; there are {listing([*known, *examples])}{hint}"
+    return ClunkError(f"There is no quantity {shorten(text)}; there are {listing([*known, *examples])}{hint}")
 
 
 def measuring(study: Study, quantities: Iterable[Quantity]) -> Study:

@@ -21,7 +21,6 @@ from clunk.simulation.measures import torque_across
 from clunk.simulation.phases import inputs_of, preload, regime_under, states
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
-from clunk.study.loads import is_ideal_step
 from clunk.study.study import Study
 
 _SAMPLES = 128  # a period of the fastest mode that matters: parabolas through three give an extreme to 1e-7
@@ -191,7 +190,7 @@ def thresholds_on(study: Study, parameter: str, ratios: Floats) -> Floats:
     σr is (T before - T after) / T after, whichever of the two torques is swept.
     """
     load = study.load
-    if not is_ideal_step(load):
+    if load.profile != "step":
         return np.empty(0)
     if parameter == "load.ratio":
         return ratios

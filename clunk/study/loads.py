@@ -142,11 +142,6 @@ def uses(profile: str, key: str) -> bool:
     return key in ("on", "step_time", *(PROFILES[profile].keys if profile in PROFILES else ()))
 
 
-def is_ideal_step(load: Load) -> bool:
-    """Whether the torque steps at once and stays (report Eq. 2.2)."""
-    return load.profile == "step"
-
-
 def numbers(load: Mapping[str, Any], swept: Container[str] = (), without: Container[str] = ()) -> list[str]:
     """The numbers of a load's profile, other than defaults, with symbols and units: ``d = 0.1 s``, or ``d swept``.
 

@@ -71,11 +71,6 @@ def load_complaint(parameter: str, config: Config) -> str | None:
     return None
 
 
-def _unsweepable(parameter: str, config: Config) -> str | None:
-    """Reason why a key cannot be swept in this config; None where it can."""
-    return complaint(parameter, config.model_dump(exclude=NOT_OF_A_RUN)) or load_complaint(parameter, config)
-
-
 # --- Lashes, steps, sizes --------------------------------------------------------------------------------------------
 
 
@@ -206,6 +201,7 @@ def _measured(config: Config) -> Iterator[Finding]:
 def _varied(config: Config) -> Iterator[Finding]:
     """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
     swept: dict[tuple[str, str], Place] = {}
+    document = config.model_dump(exclude=NOT_OF_A_RUN)
     for table, verb in _VARIED:
         taken: dict[tuple[str, str], Place] = {}
         for k, entry in enumerate(getattr(getattr(config, table[0]), table[1], ())):
@@ -213,7 +209,7 @@ def _varied(config: Config) -> Iterator[Finding]:
             # a factor and an offset of a key act one after the other, in a fit on a value, too
             draws = getattr(entry, "draws", "value") if table != ("sweep", "samples") else "value"
             for parameter in getattr(entry, "keys", (entry.parameter,)):
-                text = _unsweepable(parameter, config)
+                text = complaint(parameter, document) or load_complaint(parameter, config)
                 if text is None and table != ("sweep", "axes"):
                     text = _undrawable(parameter, entry, table, (parameter, "value") in swept, config)
                 before = {each: place for (key, each), place in taken.items() if key == parameter}

@@ -110,16 +110,6 @@ def misnamed(names: Sequence[str | None], noun: str) -> Iterator[tuple[int, str]
             yield k, f"the name {shorten(name)} is taken by {noun} {names.index(name) + 1}"
 
 
-def allowed_inertias(count: int, names: Sequence[Any], ground: bool) -> str:
-    """Phrase for the inertias that a key may name; a count of 0 where it is not known."""
-    choices = [f"an inertia's number from 1 to {count}" if count else "an inertia's number"]
-    if names:
-        choices.append(f"its name ({', '.join(shorten(name) for name in names[:8])}{', …' * (len(names) > 8)})")
-    if ground:
-        choices.append('"ground"')
-    return listing(choices, "or")
-
-
 def _numbered(value: Any, info: ValidationInfo, ground: bool) -> Any:
     """Number of an inertia that is given by number or name; names and inertias are in the context of validation."""
     driveline = info.context if isinstance(info.context, Mapping) else {}
@@ -129,7 +119,10 @@ def _numbered(value: Any, info: ValidationInfo, ground: bool) -> Any:
         return value
     if isinstance(value, str) and value in names:
         return names.index(value) + 1
-    allowed = allowed_inertias(count, names, ground)
+    choices = [f"an inertia's number from 1 to {count}" if count else "an inertia's number"]
+    if names:
+        choices.append(f"its name ({', '.join(shorten(name) for name in names[:8])}{', …' * (len(names) > 8)})")
+    allowed = listing([*choices, '"ground"'] if ground else choices, "or")
     if not isinstance(value, str):
         found = f"there is no inertia {shorten(value)}" if type(value) is int else f"found {shorten(value)}"
         raise refusal(((), f"{found}; must be {allowed}"))

@@ -116,7 +116,7 @@ def measure(count: float) -> dict[str, object]:
         size = directory.target.stat().st_size
         directory.remove()
         try:
-            stages.watch("info --check", netcdf.check)(directory.target)
+            stages.watch("info --check", netcdf.read)(directory.target)
         except netcdf.StoreError as error:
             print(error, file=sys.stderr)
     cells_run = sweeping.cell_count(study)
