@@ -83,3 +83,6 @@ def test_what_holds_for_labels_has_a_probability_in_a_tolerance_map():
 def test_an_unmeasured_quantity_says_how_to_measure_it(results):
     with pytest.raises(ClunkError, match=r"impacts\.quantities = \['impulse'\]"):
         quantity_of("impulse", results)
+    for name in ("impulse", "peak_shaft_torque"):
+        with pytest.raises(ClunkError, match=rf'no quantity "{name}"; there are sequence, severity'):
+            results.values(name)

@@ -238,7 +238,7 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     words = _REQUEST.fullmatch(text)
     name, relation, bound = words.groups("") if words else (text, "", "")
     if name not in known:
-        raise no_quantity(text, known, name)
+        raise no_quantity(text, [*known, "severity<=8000", "label=DS(1)SS(1)"], name)
     restitution = isinstance(source, Study) and any(lash.contact.model == "restitution" for lash in source.lashes)
     if name in _UNDEFINED and restitution:
         raise ClunkError(f"{name} is not defined for the restitution model; {_UNDEFINED[name]} is.")
@@ -284,8 +284,7 @@ def no_quantity(text: str, known: Collection[str], name: str = "") -> ClunkError
     hint = f"; did you mean {likely}?" if likely else "."
     if name in OF_IMPACTS:
         hint = f"; impacts.quantities = [{name!r}] in the config measures it."
-    examples = ["severity<=8000", "label=DS(1)SS(1)"]
-    return ClunkError(f"There is no quantity {shorten(text)}; there are {listing([*known, *examples])}{hint}")
+    return ClunkError(f"There is no quantity {shorten(text)}; there are {listing([*known])}{hint}")
 
 
 def measuring(study: Study, quantities: Iterable[Quantity]) -> Study:
