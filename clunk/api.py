@@ -287,4 +287,4 @@ def _run(
         else:
             with engine as executor, reporting(progress, sweeping.cell_count(study), study) as report:
                 result = job.run(executor, progress=report)
-        return result if addition is None else job.add(result, addition)
+        return job.finish(result, addition)

@@ -226,7 +226,7 @@ class Problem:
         """Times from which on the load rests, in the runs [s]."""
         swept = {key.removeprefix("load."): values for key, values in columns.items() if key.startswith("load.")}
         count = len(next(iter(columns.values())))
-        return np.broadcast_to(loads_of(self.study.load, count, **swept).pieces[:, -1, BEGIN], count)
+        return np.broadcast_to(loads_of(self.study.load, count, **swept)[1][:, -1, BEGIN], count)
 
 
 def _table(study: Study) -> Optimize:

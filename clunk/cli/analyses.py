@@ -204,7 +204,7 @@ def sensitivity(
     if output is not None:
         files.check(output, files.PICTURES, reads=config)
     point = sobol.operating_point(replace_values(study, cell_values(study, at, all_needed=False)))
-    terminal.warm_up(point, "drawn")
+    terminal.warn(point, "drawn")
     result = sobol.sensitivity(point, of=quantities, progress=True, **options)
     tables.tell(result, as_json)
     if output is not None:

@@ -54,7 +54,7 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
     from clunk.explorer.subject import of_one_cell
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal
-    from clunk.sweeping.progress import shown
+    from clunk.sweeping.progress import reporting
     from clunk.sweeping.sweep import Job
 
     study = load_study(source, overrides)
@@ -64,7 +64,7 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
     if study.sweep is None or not (study.sweep.axes or study.sweep.samples):
         study = of_one_cell(study)
     assert study.sweep is not None
-    terminal.warm_up(study)
+    terminal.warn_of_coarse_step(study, study.solver.method)
     job = Job(study)
-    with shown(job.design.cells) as report:
+    with reporting(True, job.design.cells, study) as report:
         return job.run(progress=report)

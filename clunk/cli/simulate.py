@@ -70,6 +70,7 @@ def simulate(
     from clunk.results import files
     from clunk.simulation.trajectory import simulate as run
     from clunk.study.models import lash_position
+    from clunk.sweeping.cells import compiling_note
 
     if output is None and figure != "everything":
         raise click.UsageError("--figure needs -o, the file to draw.")
@@ -78,7 +79,8 @@ def simulate(
         files.check(output, (*files.PICTURES, ".csv"), reads=source)
         if output.suffix.lower() == ".csv" and len(studies) > 1:
             raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
-    terminal.say_if_compiling(*(study for _, study in studies))
+    if note := compiling_note(*(study for _, study in studies)):
+        click.echo(note, err=True)
     for _, study in studies:
         terminal.warn_of_coarse_step(study, study.solver.method)
     positions = [lash_position(lash, study.lash_names) for _, study in studies]

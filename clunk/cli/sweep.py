@@ -90,10 +90,11 @@ def sweep(
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             result = job.finished()
         else:
-            job.check()
-            terminal.warm_up(study, "swept")
-            with opening as engine, progress.shown(job.design.cells) as show:
+            terminal.warn(study, "swept")
+            with progress.reporting(True, job.design.cells, study) as show, opening as engine:
                 result = job.run(engine, progress=show)
+        if not traces:
+            job.finish(result)
         failed = _report(result, job, as_json)
         if traces:
             _trace(job, result, study, lash, workers)
@@ -110,7 +111,7 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
             return with_boundaries(study, results, lash=lash, workers=workers, progress=show)
 
     began = time.perf_counter()
-    traced = job.add(result, trace)
+    traced = job.finish(result, trace)
     if traced is not result and traced.boundaries is not None:
         ((_, numbers),) = traced.boundaries.summary()
         click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)

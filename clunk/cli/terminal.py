@@ -79,28 +79,16 @@ def warn_of_coarse_step(study: Study, method: str) -> None:
         )
 
 
-def say_if_compiling(*studies: Study) -> None:
-    """Print a note where kernels are about to be compiled."""
-    from clunk.sweeping.cells import compiling_note
+def warn(study: Study, verb: str) -> None:
+    """Print warnings and notes on what is to be run.
 
-    note = compiling_note(*studies)
-    if note:
-        click.echo(fill(note), err=True)
-
-
-def warm_up(study: Study, verb: str | None = None) -> None:
-    """Print warnings and notes on what is to be run, and compile or load its kernel.
-
-    verb : what is done to a parameter, for a note on each that changes nothing; None for no such notes
+    verb : what is done to a parameter, for the note on each that changes nothing
     """
     from clunk.study.designs import unused_parameters
-    from clunk.sweeping import cells
 
     warn_of_coarse_step(study, study.solver.method)
-    for parameter in unused_parameters(study) if verb else ():
+    for parameter in unused_parameters(study):
         click.echo(f"note: {parameter} is {verb}, but changes nothing in this model", err=True)
-    say_if_compiling(study)
-    cells.warm_up(study)
 
 
 def report_failures(results: AnyMap, how: str = "") -> None:

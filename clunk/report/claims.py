@@ -141,7 +141,7 @@ _FIGURE_3_2 = (
 
 
 def _time_histories(e: Evidence) -> Iterator[Claim]:
-    before, angle = load_step(e.study.load).before, e.nominal.states[0, 0]
+    before, angle = load_step(e.study.load)[0], e.nominal.states[0, 0]
     yield _agrees(
         "Figure 3.1",
         "T steps from -6 to -1 N m at σr = 5; rotation between -0.7 and 0.3 rad",

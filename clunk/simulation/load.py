@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,26 +18,11 @@ Numbers = float | Floats
 _SHORTEST = 1e-12  # s; a duration or time constant below it counts as 0
 
 
-class LoadStep(NamedTuple):
-    """Torque before the load step, and the torque that the load goes to, or swings about  [N m]."""
+def loads_of(load: Load, count: int, **swept: Numbers) -> tuple[Floats, Floats]:
+    """Torques on the loaded inertia in `count` runs.
 
-    before: float
-    after: float
-
-
-class Loads(NamedTuple):
-    """Torques on the loaded inertia in some runs.
-
-    before : (runs,)  before the load step  [N m]
-    pieces : (1 or runs, P, PIECE)  after it, see `clunk.core.runs`; one row where they are the same in all runs
-    """
-
-    before: Floats
-    pieces: Floats
-
-
-def loads_of(load: Load, count: int, **swept: Numbers) -> Loads:
-    """Loads of `count` runs.
+    Returns that before the load step, (count,)  [N m], and the pieces after it, (1 or count, P, PIECE), see
+    `clunk.core.runs`; one row where they are the same in all runs.
 
     `swept` values, (count,) each or one for all, take the place of the config's own under the names of its keys,
     ``torques[n]`` and ``durations[n]`` among them; those that the profile does not use make no difference.
@@ -55,7 +40,7 @@ def loads_of(load: Load, count: int, **swept: Numbers) -> Loads:
         before = before[:, 0]
     else:
         before, pieces = _profile(values)
-    return Loads(np.broadcast_to(before, count).astype(np.float64), pieces)
+    return np.broadcast_to(before, count).astype(np.float64), pieces
 
 
 def _entries(values: Mapping[str, Any], key: str, count: int) -> Floats:
@@ -172,10 +157,10 @@ def torque_at(pieces: Floats, rates: Floats | None, time: Floats) -> Floats:
     return torque
 
 
-def load_step(load: Load) -> LoadStep:
-    """The load step of a config, without what lies between the two torques."""
+def load_step(load: Load) -> tuple[float, float]:
+    """Torque before the load step, and the torque that the load goes to, or swings about  [N m]."""
     before, pieces = loads_of(load, 1)
-    return LoadStep(float(before[0]), float(pieces[0, -1, LEVEL]))
+    return float(before[0]), float(pieces[0, -1, LEVEL])
 
 
 def run_load(study: Study) -> tuple[Floats, Floats]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from clunk.results.labels import FAILED, FAILED_CODE, label_order
 from clunk.results.maps import Results
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.study.arrays import Array, Bools, Cells, Records
-from clunk.study.axes import ResultAxis, lash_axis
+from clunk.study.axes import lash_axis
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
@@ -65,15 +65,19 @@ class Reduction:
 
     grid : runs the cells to tiles
     study, design : of the cells
-    heading : title and config of the map, where they are known already
+    axes, shape : of the map: those of the design and, of several lashes, theirs
+    heading : axes, title and config, which all maps have
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
     """
 
-    def __init__(self, grid: Grid, heading: dict[str, str] | None = None) -> None:
+    def __init__(self, grid: Grid) -> None:
         self.grid, self.study, self.design = grid, grid.study, grid.design
-        self._heading = heading
+        names, axes = self.study.lash_names, self.design.axes
+        self.axes = (*axes, lash_axis(names)) if len(names) > 1 else axes
+        self.shape = tuple(len(axis.values) for axis in self.axes)
+        self.heading: dict[str, Any] = {"axes": self.axes, **heading_of(self.study)}
         self.rows = self.design.cells * grid.layout.lashes
         self.known: Bools = np.zeros(self.design.cells, bool)
         self.done = 0
@@ -101,25 +105,10 @@ class Reduction:
         order = np.argsort(np.repeat(rows, self._records[self.grid.layout.counted_by][rows]), kind="stable")
         return self._records, np.concatenate([details for _, details in self._details])[order]
 
-    @cached_property
-    def axes(self) -> tuple[ResultAxis, ...]:
-        """The axes of the map: those of the design and, of several lashes, theirs."""
-        names = self.study.lash_names
-        return (*self.design.axes, lash_axis(names)) if len(names) > 1 else self.design.axes
 
-    @cached_property
-    def shape(self) -> tuple[int, ...]:
-        """The shape of the map."""
-        return tuple(len(axis.values) for axis in self.axes)
-
-    def heading(self) -> dict[str, Any]:
-        """Title, axes and config: the fields that all maps have in common."""
-        heading = self._heading or heading_of(self.study)
-        return {"axes": self.axes, **heading}
-
-
+@lru_cache(4)
 def heading_of(study: Study) -> dict[str, str]:
-    """Title and config of a study's maps."""
+    """Title and config of a study's maps; the latest are kept: to write a config takes as long as some fifty runs."""
     return {"title": study.title, "config": to_toml(study), "config_digest": digest(study)}
 
 
@@ -134,7 +123,7 @@ def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
             arrays[name] = impacts[name.removeprefix("impact_")].astype(quantity.dtype)
         elif name != "sequence":
             arrays[name] = records[name].astype(quantity.dtype).reshape(reduction.shape)
-    return Results(**reduction.heading(), labels=labels, arrays=arrays, attributes=attributes)
+    return Results(**reduction.heading, labels=labels, arrays=arrays, attributes=attributes)
 
 
 def failed_cells(results: Results) -> Cells:

@@ -92,8 +92,8 @@ class Runner:
 
     def run(self, values: Floats, progress: Progress | None = None) -> Results:
         """Run points, (n, keys), whose values are allowed."""
-        heading = self._heading | {"config_digest": self.digest(values)}
-        reduction = Reduction(self.grid.with_design(self._design(values)), heading)
+        reduction = Reduction(self.grid.with_design(self._design(values)))
+        reduction.heading["config_digest"] = self.digest(values)
         with closing(run_tiles(reduction.grid, np.arange(len(values)), self._engine, self._workers)) as tiles:
             for tile in tiles:
                 reduction.add(tile)
@@ -103,7 +103,7 @@ class Runner:
 
     def digest(self, values: Floats) -> str:
         """Digest of all that decides the results of points: the study, and the keys' values, in whatever order."""
-        decisive = hashlib.sha256(self._heading["config_digest"].encode())
+        decisive = hashlib.sha256(heading_of(self.study)["config_digest"].encode())
         for key, column in sorted(zip(self.keys, values.T, strict=True), key=itemgetter(0)):
             decisive.update(key.encode() + b"\0" + column.tobytes())
         return decisive.hexdigest()
@@ -134,10 +134,6 @@ class Runner:
 
     def _design(self, values: Floats) -> Design:
         return along_run(zip(self.keys, values.T, strict=True))
-
-    @cached_property
-    def _heading(self) -> dict[str, str]:
-        return heading_of(self.study)
 
     @cached_property
     def _attributes(self) -> dict[str, str]:

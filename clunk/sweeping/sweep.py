@@ -95,10 +95,6 @@ class Job:
         """Finished cells on the disk, if they are kept. Raises PartsError where they are another sweep's."""
         return None if self.directory is None or self.earlier is not None else Parts(self.directory, self.study)
 
-    def check(self) -> None:
-        """Refuse what cannot run, before anything is compiled. Raises as `reduction` and `parts`."""
-        _ = self.reduction, self.parts
-
     @property
     def kept(self) -> str:
         """Sentence on the cells that are on the disk of a sweep that was stopped."""
@@ -111,23 +107,28 @@ class Job:
         assert self.path is not None
         return read_map(self.path)
 
-    def add(self, result: AnyMap, addition: Callable[[AnyMap], AnyMap]) -> AnyMap:
-        """Add something to a finished map, and to its file; where that is stopped, the file stays as it is."""
+    def finish(self, result: AnyMap, addition: Callable[[AnyMap], AnyMap] | None = None) -> AnyMap:
+        """Add something to a map, and write it to its file, if it has one; without the addition where that is stopped.
+
+        Raises ClunkError where the disk has no room for the results.
+        """
+        added = result
         try:
-            added = addition(result)
-        except (KeyboardInterrupt, SystemExit) as stopped:
+            if addition is not None:
+                added = addition(result)
+        except BaseException as stopped:
             if self.path is not None:
                 stopped.add_note(
                     f"the map is complete in {self.path}, without its boundaries; the same command goes on with these"
                 )
             raise
-        if added is not result:
-            self._write(added)
+        finally:
+            is_new = added is not result or not self.is_complete
+            if is_new and self.path is not None and self.directory is not None:
+                write_results(self.path, added, self.directory.path)
+                with suppress(PartsError):  # the map is in its file: parts of it that cannot be removed stay
+                    self.directory.clear()
         return added
-
-    def _write(self, result: AnyMap) -> None:
-        if self.path is not None:
-            write_results(self.path, result, None if self.directory is None else self.directory.path)
 
     def run(
         self,
@@ -136,13 +137,13 @@ class Job:
         workers: int | None = None,
         progress: Progress | None = None,
     ) -> AnyMap:
-        """Run the cells that are not finished, and write the map to its file, if it has one.
+        """Run the cells that are not finished.
 
         engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads
         workers : number of these threads; by default one for each core that this process may use
         progress : called in this thread with the number of cells, first of those taken up and then after each tile
 
-        Raises as `clunk.sweep`, and ClunkError where the disk has no room for the results.
+        Raises as `clunk.sweep`.
         """
         began = time.perf_counter()
         reduction, parts = self.reduction, self.parts
@@ -179,10 +180,6 @@ class Job:
         if self.earlier is not None and isinstance(result, Results):
             result = mended(self.earlier, result, self.study)
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
-        self._write(result)
-        if self.directory is not None and self.path is not None:
-            with suppress(PartsError):  # the map is in its file: parts of it that cannot be removed stay
-                self.directory.clear()
         return result
 
 
@@ -214,19 +211,21 @@ def opened(
         if retry:
             earlier = read_results(path)
             is_complete = not failed_cells(earlier).size
-            yield Job(study, earlier=earlier, directory=directory, path=path, is_complete=is_complete)
-            return
-        is_complete = False
-        if path.exists() and not force:
-            _refuse_others(path, study)
-            is_complete = not restart
-        job = Job(study, directory=directory, path=path, is_complete=is_complete, say=say)
-        if is_complete and directory.parts():  # of a process that was killed when its file was in place
-            with suppress(PartsError):  # another sweep's parts stay
-                _ = job.parts
+            job = Job(study, earlier=earlier, directory=directory, path=path, is_complete=is_complete)
+        else:
+            is_complete = path.exists() and not force
+            if is_complete:
+                _refuse_others(path, study)
+                is_complete = not restart
+            job = Job(study, directory=directory, path=path, is_complete=is_complete, say=say)
+            if restart:
                 directory.clear()
-        elif restart:
-            directory.clear()
+            elif is_complete and directory.parts():  # of a process that was killed when its file was in place
+                with suppress(PartsError):  # another sweep's parts stay
+                    _ = job.parts
+                    directory.clear()
+        if not is_complete:
+            _ = job.reduction, job.parts  # what cannot run is refused before anything is compiled
         yield job
 
 

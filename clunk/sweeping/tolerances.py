@@ -108,7 +108,7 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
     nominal = np.full(reduction.rows, FAILED_CODE, np.int16)
     nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
     return ToleranceMap(
-        **reduction.heading(),
+        **reduction.heading,
         labels=labels,
         sample=sample_of(reduction.study, grid.drawn),
         arrays={

@@ -106,7 +106,7 @@ def preload(study, driveline):
     """Half gap [rad] (400,), angles at rest on the flank that carries the load before the step (n, 400), its side."""
     ratio, backlash_deg = grid()
     half_gaps = np.deg2rad(backlash_deg) / 2
-    before = loads_of(study.load, ratio.size, ratio=ratio).before
+    before = loads_of(study.load, ratio.size, ratio=ratio)[0]
     lash, stiffness = driveline.lashes[0], driveline.contact_stiffnesses[0]
     closed = driveline.matrices(closed=False)[1] + stiffness * np.outer(lash, lash)
     side = np.where(np.linalg.solve(closed, driveline.load) @ lash * before > 0.0, 1.0, -1.0)

@@ -26,7 +26,7 @@ def make(tolerance: float):
     """A function of cell numbers that gives each one's events: (E, 2) float64, time [s] and kind times side."""
     study = events_table.study()
     driveline = Driveline.from_study(study)
-    pieces = loads_of(study.load, 1).pieces
+    pieces = loads_of(study.load, 1)[1]
     torque = hy.expression(pieces[0, -1, LEVEL])
     n = driveline.inertia.size
     angles = hy.make_vars(*(f"angle_{k}" for k in range(n)))

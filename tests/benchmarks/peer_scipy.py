@@ -28,7 +28,7 @@ def make(**options):
         return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / inertia[:, None], -damping / inertia[:, None]]])
 
     opened, closed = rates(False), rates(True)
-    drive = np.concatenate([np.zeros(n), driveline.load * load_step(study.load).after / inertia])
+    drive = np.concatenate([np.zeros(n), driveline.load * load_step(study.load)[1] / inertia])
     push = np.concatenate([np.zeros(n), driveline.contact_stiffnesses[0] * lash / inertia])
 
     def run(cell):
