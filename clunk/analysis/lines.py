@@ -246,7 +246,7 @@ class Lines:
         low, high = narrow(
             points,
             lambda edges, distances: self._run(place(edges, distances)),
-            most=_MOST_CROSSINGS,
+            _MOST_CROSSINGS,
             may_run=lambda: self._may_run(_ON_EDGES),
         )
         edges = low["cell"]

@@ -111,8 +111,8 @@ def brackets(points: Points) -> Points:
 def narrow(
     ends: Points,
     run: Run,
+    most: int,
     span: float = 1.0,
-    most: int | None = None,
     may_run: Callable[[], bool] = lambda: True,
 ) -> tuple[Points, Points]:
     """Narrow brackets to `TOLERANCE` of the span; returns their lower and their upper ends, by cell and value.
@@ -133,9 +133,9 @@ def narrow(
         has_failed = (ends["outcome"] == FAILED_CODE).any(axis=1)
         wide = width > np.where(has_failed, OFF_FAILURES * span, tolerance)
         wide &= (low < middle) & (middle < high) & may_run()
-        rest = np.flatnonzero(wide)  # `take` and `put` do with records in a tenth of the time what indexing does
+        rest = np.flatnonzero(wide)  # `take` does with records in a tenth of the time what indexing does
         finished += np.bincount(origin[~wide], minlength=begun)
-        crowded = finished + np.bincount(origin[rest], minlength=begun) > (most or np.inf)
+        crowded = finished + np.bincount(origin[rest], minlength=begun) > most
         rest = rest[~crowded[origin[rest]]]
         narrowed.append(np.delete(ends, rest, axis=0))
         ends, is_slow, origin = ends.take(rest, axis=0), is_slow[rest], origin[rest]
@@ -151,17 +151,13 @@ def narrow(
         cells, new = ends["cell"][rows, 0], values[rows, columns]
         runs = run(cells, new)
         runs["cell"], runs["value"] = cells, new
-        points = np.zeros((len(ends), 4), POINT)
-        points["value"], begins = np.nan, 4 * np.arange(len(ends))
-        points.put(begins[:, None] + np.arange(2), ends)
-        points.put(begins[rows] + 2 + columns, runs)
-        points = points.take(begins[:, None] + np.argsort(points["value"], axis=1, kind="stable"))
-        rows, columns = np.nonzero(
-            (points["outcome"][:, :-1] != points["outcome"][:, 1:]) & ~np.isnan(points["value"][:, 1:])
-        )
-        ends = points.take((begins[rows] + columns)[:, None] + np.arange(2))
-        is_slow = ends["value"][:, 1] - ends["value"][:, 0] > _STALLED * width[rows]
-        origin = origin[rows]
+        points, bracket = np.concatenate([ends.ravel(), runs]), np.append(np.repeat(np.arange(len(ends)), 2), rows)
+        order = np.lexsort((points["value"], bracket))
+        points, bracket = points.take(order), bracket[order]
+        at = np.flatnonzero((bracket[:-1] == bracket[1:]) & (points["outcome"][:-1] != points["outcome"][1:]))
+        ends, bracket = points.take(at[:, None] + [0, 1]), bracket[at]
+        is_slow = ends["value"][:, 1] - ends["value"][:, 0] > _STALLED * width[bracket]
+        origin = origin[bracket]
     ends = np.concatenate(narrowed)
     low, high = ends[np.lexsort((ends["value"][:, 0], ends["cell"][:, 0]))].T
     return low, high

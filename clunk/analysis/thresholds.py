@@ -274,7 +274,7 @@ def thresholds(
 
         points, _ = with_hidden(run(points["cell"], points["value"]), run, _HALVINGS)
         span = float(np.ptp(along_axis.values))
-        low, high = narrow(brackets(points), run, span, most=_MOST)
+        low, high = narrow(brackets(points), run, _MOST, span)
     return Thresholds(
         study=study,
         along=along_axis,
