@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from clunk.cli import tables
+from clunk.cli import tables, terminal
 from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, workers_option
 
 
@@ -37,7 +37,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
     files.check(output / "figure_3_1.png", files.PICTURES)
     evidence = Evidence(run_maps(coarsen, workers, progress=True))
     claims = claims_of(evidence)
-    written = reproduction.save_all(evidence, claims, output)
+    reproduction.save_all(evidence, claims, output)
     if table is not None:
         reproduction.write_tables(table, claims)
     if as_json:
@@ -46,7 +46,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
         for claim in claims:
             tables.tell(claim, as_json)
             click.echo()
-    click.echo(f"{len(written)} files -> {output}", err=True)
+    terminal.say_written(output)
     failed = [claim for claim in claims if claim.failed]
     if failed:
         click.echo(f"{len(failed)} of {len(claims)} claims no longer agree (!)", err=True)

@@ -53,21 +53,14 @@ MAPS = {  # by name: title, values an axis, overrides
 Maps = dict[str, Results]  # of Figures 3.4 and 3.7 and their variants, by the names of `MAPS`
 
 
-def map_studies(coarsen: int = 1) -> dict[str, Study]:
-    """The studies of `MAPS`, on 1/`coarsen` of their values an axis."""
-    studies = {}
+def run_maps(coarsen: int = 1, workers: int | None = None, progress: bool | Progress = False) -> Maps:
+    """Run the sweeps of `MAPS`, on 1/`coarsen` of their values an axis; progress : as of `clunk.sweep`, of each."""
+    maps: Maps = {}
     for name, (title, count, overrides) in MAPS.items():
         values = (count - 1) // coarsen + 1
         axes = _AXIS.format("load.ratio", 10.0, values) + _AXIS.format("lash.backlash_deg", 20.0, values)
         text = f'title = "{title}"\n{_DRIVELINE}{axes}'
-        studies[name] = study_from_text(text, source=f"the config of {title}", overrides=overrides)
-    return studies
-
-
-def run_maps(coarsen: int = 1, workers: int | None = None, progress: bool | Progress = False) -> Maps:
-    """Run the sweeps of `map_studies`; progress : as of `clunk.sweep`, of each."""
-    maps: Maps = {}
-    for name, study in map_studies(coarsen).items():
+        study = study_from_text(text, source=f"the config of {title}", overrides=overrides)
         with reporting(progress, cell_count(study), study) as report:
             maps[name] = sweep(study, workers=workers, progress=report)
     return maps

@@ -11,7 +11,7 @@ from clunk import plot
 from clunk.analysis.comparison import compare
 from clunk.plot import analyses, histories
 from clunk.report.claims import Claim, Verdict
-from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
+from clunk.report.evidence import NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import write_text
 from clunk.results.store import write_results
 from clunk.simulation.history import History, sample
@@ -23,20 +23,13 @@ from clunk.study.records import plain
 _NAMES = {"indentation": "IFM", "restitution": "RCM"}
 
 
-def save_all(evidence: Evidence, claims: Sequence[Claim], directory: Path) -> list[Path]:
-    """Write the figures, the results files behind them and the claims into `directory`; return their paths."""
-    directory.mkdir(parents=True, exist_ok=True)
-    written = []
+def save_all(evidence: Evidence, claims: Sequence[Claim], directory: Path) -> None:
+    """Write the figures, the results files behind them and the claims into a directory."""
     for name, make in figures(evidence).items():
-        written.append(directory / f"{name}.png")
-        plot.save(make(), written[-1])
-    for name in MAPS:
-        written.append(directory / f"{name}.h5")
-        write_results(written[-1], evidence.maps[name])
-    written.append(directory / "claims.json")
-    text = json.dumps(plain(claims), indent=1, ensure_ascii=False) + "\n"
-    write_text(written[-1], text)
-    return written
+        plot.save(make(), directory / f"{name}.png")
+    for name, results in evidence.maps.items():
+        write_results(directory / f"{name}.h5", results)
+    write_text(directory / "claims.json", json.dumps(plain(claims), indent=1, ensure_ascii=False) + "\n")
 
 
 def write_tables(path: Path, claims: Sequence[Claim]) -> None:
