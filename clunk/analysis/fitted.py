@@ -38,7 +38,7 @@ _COUNT = 81  # values of a map's axis
 _BEYOND = 0.15  # of the measured span, on either side of it
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True)
 class Estimate(Record):
     """A parameter's number: a value, a factor or an offset.
 
@@ -54,7 +54,7 @@ class Estimate(Record):
     prior: dict[str, Any] = told()
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True)
 class Combination(Record):
     """A combination of parameters, and how much of the prior's spread the data leave to it.
 
@@ -65,7 +65,7 @@ class Combination(Record):
     direction: list[float] = told("direction (in the priors' standard deviations)", form="+.2f")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True)
 class Measured(Record):
     """A measured label, and what the fit makes of it.
 
@@ -408,15 +408,14 @@ def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
         place, _, value = located(fitted.study, key)
         document = with_value(document, place, float(_applied(fitted, key, value, fitted.estimate)))
         ways = {prior.draws for prior in fitted.priors if prior.parameter == key}
-        if "value" in ways:
-            relative = {"value": _applied(fitted, key, 0.0, picked)}
-        else:
+        # A draw makes the value v to a v + b, and the estimate made it to e v + f.
+        (b, a), (f, e) = ([_applied(fitted, key, v, n) for v in (0.0, 1.0)] for n in (picked, fitted.estimate))
+        relative = {"value": b}
+        if "value" not in ways:
             for axis in document.get("sweep", {}).get("axes", ()):
                 for end in {"start", "stop", "values"} & axis.keys() if axis["parameter"] == key else ():
                     ends = _applied(fitted, key, np.array(axis[end]), fitted.estimate)
                     axis[end] = tuple(ends.tolist()) if end == "values" else float(ends)
-            # A draw makes the value v to a v + b, and the estimate made it to e v + f.
-            (b, a), (f, e) = ([_applied(fitted, key, v, n) for v in (0.0, 1.0)] for n in (picked, fitted.estimate))
             factor = (a - b) / (e - f)
             relative = {"factor": factor, "offset": b - f * factor}
         for way, numbers in relative.items():

@@ -155,7 +155,7 @@ def narrow(
         order = np.lexsort((points["value"], bracket))
         points, bracket = points.take(order), bracket[order]
         at = np.flatnonzero((bracket[:-1] == bracket[1:]) & (points["outcome"][:-1] != points["outcome"][1:]))
-        ends, bracket = points.take(at[:, None] + [0, 1]), bracket[at]
+        ends, bracket = points.take(at[:, None] + np.arange(2)), bracket[at]
         is_slow = ends["value"][:, 1] - ends["value"][:, 0] > _STALLED * width[bracket]
         origin = origin[bracket]
     ends = np.concatenate(narrowed)

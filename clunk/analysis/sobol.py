@@ -49,7 +49,7 @@ class Share(Record):
     total_interval: list[float] = told(f"in all {CONFIDENCE:.0%}", form=".3f")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True)
 class Indices(Record):
     """Sobol indices of one quantity: the shares of parameters in its variance.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -347,6 +346,8 @@ def print_thresholds(result: Thresholds) -> None:
         words = " or ".join(sorted({row["below"] for row in result.rows()}))
         click.echo(f"none, it never changes along {along.parameter}: {words}")
         return
-    values = [math.nan if row[along.parameter] is None else row[along.parameter] for row in result.rows()]
-    rows = [row | {along.parameter: number(value, ".10g")} for row, value in zip(result.rows(), values, strict=True)]
+    rows = result.rows()
+    for row in rows:
+        value = row[along.parameter]
+        row[along.parameter] = "-" if value is None else f"{value:.10g}"
     tables.print_table(rows)
