@@ -24,7 +24,7 @@ from clunk.study.errors import ClunkWarning, ConfigError
 from clunk.study.keys import json_schema
 from clunk.study.loads import Load
 from clunk.study.models import DrivelineConfig, Fit, FreeParameter, Impacts, Lash, Measure, Optimize, Shaft
-from clunk.study.parameters import get_value
+from clunk.study.parameters import nominal_value
 from clunk.study.study import Study, digest, replace_values, to_toml
 from clunk.study.sweeps import Axis, Draw, Sampling, Sweep
 
@@ -263,7 +263,7 @@ def test_a_gear_ratio_of_1_is_the_ratio_of_what_has_none():
     assert digest(plain) == digest(unit)
     for key in ("lash.ratio", "driveline.shafts[2].ratio"):
         geared = replace_values(plain, {key: -3.7})
-        assert get_value(geared, key) == -3.7
+        assert nominal_value(geared, key) == -3.7
         assert digest(geared) != digest(plain)
         assert study_from_text(to_toml(geared)) == geared
 
@@ -576,8 +576,8 @@ def test_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
 )
 def test_override_sets_its_key(override, parameter, value):
     study = study_from_text(PRESET, overrides=[override])
-    assert get_value(study, parameter) == value
-    assert get_value(study_from_text(PRESET), "load.static_torque") == -1.0
+    assert nominal_value(study, parameter) == value
+    assert nominal_value(study_from_text(PRESET), "load.static_torque") == -1.0
 
 
 @pytest.mark.parametrize(
@@ -666,7 +666,7 @@ def test_axis_stays_between_its_ends(start, stop, count, log):
 )
 def test_optional_and_nested_keys_can_be_swept(parameter):
     study = study_from_text(axis(f'parameter = "{parameter}"\nvalues = [0.5, 1]'))
-    assert get_value(replace_values(study, {parameter: 0.5}), parameter) == 0.5
+    assert nominal_value(replace_values(study, {parameter: 0.5}), parameter) == 0.5
 
 
 def test_axis_may_name_an_inertia_and_sweep_its_number():
@@ -732,8 +732,8 @@ def test_replaced_values_are_those_of_the_study():
     study = study_from_text(WHOLE)
     values = {"load.ratio": 3.0, "driveline.inertias[4]": 0.003, "lash.contact.stiffness": 1e5, "load.on": 2.0}
     replaced = replace_values(study, values)
-    assert {parameter: get_value(replaced, parameter) for parameter in values} == values
-    assert get_value(study, "load.ratio") == 5.0
+    assert {parameter: nominal_value(replaced, parameter) for parameter in values} == values
+    assert nominal_value(study, "load.ratio") == 5.0
     assert replaced.driveline.inertias == (0.024, 0.002, 0.002, 0.003)
     assert (replaced.load.on, type(replaced.load.on)) == (2, int)
     assert replaced.sweep == study.sweep

@@ -9,7 +9,7 @@ from helpers import reference
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import simulate
 from clunk.study.models import Solver
-from clunk.study.parameters import get_value
+from clunk.study.parameters import nominal_value
 from clunk.study.study import replace_values
 
 POINTS = [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (7.0, 0.0), (-2.5, 3.0)]
@@ -56,7 +56,7 @@ def slowed(study):
         slower[f"driveline.shafts[{k}].damping"] = 2.0 * shaft.damping
     slower["lash.contact.damping"] = 2.0 * study.lash.contact.damping
     keys = ("solver.step", "solver.end_time", "impacts.sticking_time")
-    return slower | {key: 2.0 * get_value(study, key) for key in keys}
+    return slower | {key: 2.0 * nominal_value(study, key) for key in keys}
 
 
 # the change of a study, and what it multiplies angles and times by

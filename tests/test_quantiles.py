@@ -18,7 +18,7 @@ from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import nominal
 from clunk.study.errors import ClunkError
-from clunk.study.parameters import drawn_numbers, get_value
+from clunk.study.parameters import drawn_numbers, nominal_value
 
 RAMPED = NOMINAL.replace("ratio = 5.0", 'profile = "ramp"\nratio = 5.0')
 FEW = axis("load.ratio", 4.0, 8.0, 3)
@@ -43,7 +43,7 @@ def driveline(swept, draw, **at):
     """The study of one draw."""
     tolerances = swept.sweep.tolerances
     numbers = zip(tolerances, drawn_numbers(swept, tolerances), strict=True)
-    values = {each.parameter: each.applied(n[draw], get_value(swept, each.parameter)).item() for each, n in numbers}
+    values = {each.parameter: each.applied(n[draw], nominal_value(swept, each.parameter)).item() for each, n in numbers}
     return clunk_api.replace_values(swept, values | at)
 
 

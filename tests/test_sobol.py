@@ -12,7 +12,7 @@ from clunk.plot.style import PlotError
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
-from clunk.study.parameters import get_value
+from clunk.study.parameters import nominal_value
 from clunk.study.records import plain
 from clunk.study.study import replace_values
 
@@ -108,7 +108,7 @@ def test_the_indices_of_small_tolerances_are_those_of_error_propagation():
     found = sensitivity(point).indices[0]
     step, contributions = 1e-3, []
     for key in STRUCTURAL:
-        own = get_value(point, key)
+        own = nominal_value(point, key)
         above, below = (simulate(replace_values(point, {key: own * (1.0 + s)})).severity for s in (step, -step))
         contributions.append((above - below) ** 2)
     shares = np.array(contributions) / sum(contributions)

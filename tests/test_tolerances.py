@@ -23,7 +23,7 @@ from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import nominal
 from clunk.study.errors import ClunkError
-from clunk.study.parameters import drawn_numbers, get_value
+from clunk.study.parameters import drawn_numbers, nominal_value
 from clunk.study.study import replace_values, to_toml
 from clunk.sweeping import parts as keeping, tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory
@@ -59,7 +59,7 @@ def single_runs(toleranced, cell):
     for k in range(toleranced.sweep.sampling.count):
         own_values = {}
         for draw, numbers in zip(draws, all_numbers, strict=True):
-            own = get_value(bare, draw.parameter)
+            own = nominal_value(bare, draw.parameter)
             own_values[draw.parameter] = numbers[k] * own if draw.draws == "factor" else own + numbers[k]
         try:
             run = simulate(replace_values(bare, own_values))

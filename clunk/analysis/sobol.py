@@ -22,7 +22,7 @@ from clunk.study.arrays import Floats, Positions
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.loads import PROFILES
-from clunk.study.parameters import get_value, nominal_value
+from clunk.study.parameters import nominal_value
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study
 from clunk.study.sweeps import Sweep
@@ -131,7 +131,7 @@ class Sensitivity(Record):
         keys = [f"load.{key}" for key in PROFILES[load.profile].keys if isinstance(getattr(load, key), float)]
         keys = [key for key in keys if key != "load.static_torque"]
         keys += [dotted((*place, "backlash_deg")) for place in self.study.lash_places]
-        return {key: get_value(self.study, key) for key in keys}
+        return {key: nominal_value(self.study, key) for key in keys}
 
 
 def sensitivity(

@@ -64,7 +64,9 @@ def _study(context: click.Context) -> Study | None:
     from clunk.study.config import load_study, study_from_text
     from clunk.study.errors import ClunkError
 
-    path = _path(context)
+    arguments = [each.name or "" for each in context.command.params if isinstance(each, click.Argument)]
+    words = [*(context.params.get(name) for name in arguments), *context.args]  # while an option lacks its value
+    path = next((Path(word) for word in words if word is not None and Path(word).is_file()), None)
     try:
         if path is not None and path.suffix == ".h5":
             from clunk.results.store import read_map
@@ -73,11 +75,3 @@ def _study(context: click.Context) -> Study | None:
         return None if path is None else load_study(path)
     except ClunkError:
         return None
-
-
-def _path(context: click.Context) -> Path | None:
-    """The file that the command reads. While an option lacks its value, click leaves arguments in `args`."""
-    names = [each.name for each in context.command.params if isinstance(each, click.Argument)]
-    words = [*(context.params.get(name or "") for name in names), *context.args]
-    paths = [Path(word) for word in words if word is not None]
-    return next((path for path in paths if path.is_file()), None)

@@ -60,7 +60,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     """
     from clunk.study.axes import RUN
     from clunk.study.designs import design_of
-    from clunk.study.parameters import get_value
+    from clunk.study.parameters import nominal_value
 
     design = design_of(study)
     named = nearest_values(design.axes, at)
@@ -69,7 +69,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
         raise click.UsageError(f"Which cell? Also name {' '.join(map(at_middle, missing))}, for example.")
     unnamed = [each for axis in missing for each in axis.parameters]
     if unnamed:
-        listed = ", ".join(f"{axis.parameter} = {get_value(study, axis.parameter):g}" for axis in unnamed)
+        listed = ", ".join(f"{axis.parameter} = {nominal_value(study, axis.parameter):g}" for axis in unnamed)
         terminal.complain(f"note: without --at, as in the config: {listed}")
     run = named.pop(RUN, None)
     if run is not None:

@@ -132,6 +132,14 @@ class Map(Design, ABC):
             raise no_quantity(name, self.arrays)
         return self.arrays[name]
 
+    def plot_label(self, quantity: Quantity) -> str:
+        """Name of a quantity of cells, with symbol and unit, beside an axis or a colour bar.
+
+        In a tolerance map, what holds or not has a probability.
+        """
+        is_probability = bool(self.sample) and quantity.type == YES_NO
+        return f"Probability that {quantity.words}" if is_probability else quantity.plot_label
+
     @cached_property
     def first_impact(self) -> Integers:
         """Position of each cell's first impact in the flat arrays, and last their number: (cells + 1,), in C order."""
@@ -279,10 +287,6 @@ class Results(Map):
         holding = {name: each for name, each in OF_RUNS.items() if name != NOMINAL}
         return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
 
-    def plot_label(self, quantity: Quantity) -> str:
-        """Name of one of `quantities_of_cells`, with symbol and unit, beside an axis or a colour bar."""
-        return quantity.plot_label
-
     def of_labels(self, numbers: Sequence[float]) -> Floats:
         """What follows from the label of each cell; NaN where it failed. numbers : of the labels, in their order"""
         return np.array([*numbers, np.nan], np.float64)[self.sequence]  # the code of failed cells, -1, is the last
@@ -415,10 +419,6 @@ class ToleranceMap(Map):
         }
         mean = replace(self.quantities["severity_mean"], name="severity")
         return {**of_labels, "severity": mean, **quantiles}
-
-    def plot_label(self, quantity: Quantity) -> str:
-        """See `Results.plot_label`: what holds for labels has a probability."""
-        return f"Probability that {quantity.words}" if quantity.type == YES_NO else quantity.plot_label
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
         """Mean over the runs of each cell that did not fail: of 1 and 0 a share; NaN where all failed."""

@@ -251,7 +251,11 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
             f"{shorten(text)} compares nothing: a number is compared with a number, as in severity<=8000, and a label "
             "is one such as label=DS(1)SS(1)."
         )
-    return _related(quantity, relation, value)
+    told = value if isinstance(value, str) else f"{value:.15g}"
+    meaning = f"{quantity.heading} {_RELATIONS[relation][1]} {told} {quantity.unit_symbol}".rstrip()
+    meaning = f"the {meaning}" if quantity.type == TEXT else meaning
+    described = replace(OF_RUNS[CHATTER], name=f"{name}{relation}{told}", words=meaning, long_name=f"whether {meaning}")
+    return replace(described, base=quantity, relation=relation, bound=value)
 
 
 def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | None:
@@ -264,16 +268,6 @@ def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | No
         if math.isfinite(number) and (quantity.type != YES_NO or is_whether):
             return number
     return None
-
-
-def _related(base: Quantity, relation: str, bound: float | str) -> Quantity:
-    """Whether a quantity is so related to a number or a label."""
-    value = bound if isinstance(bound, str) else f"{bound:.15g}"
-    words = f"{base.heading} {_RELATIONS[relation][1]} {value} {base.unit_symbol}".rstrip()
-    words = f"the {words}" if base.type == TEXT else words
-    name = f"{base.name}{relation}{value}"
-    described = replace(OF_RUNS[CHATTER], name=name, words=words, long_name=f"whether {words}")
-    return replace(described, base=base, relation=relation, bound=bound)
 
 
 def no_quantity(text: str, known: Collection[str], name: str = "") -> ClunkError:

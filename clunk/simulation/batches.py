@@ -13,7 +13,7 @@ from clunk.core.tile import Batch, batch_of
 from clunk.simulation.driveline import Driveline, build, prepare
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
-from clunk.study.designs import refuse_points
+from clunk.study.designs import design_of_points
 from clunk.study.document import Place
 from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows
@@ -56,7 +56,7 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     """
     if not values.size:
         return
-    refuse_points(study, parameters, values)
+    design_of_points(study, dict(zip(parameters, values.T, strict=True)))  # which refuses values that are not allowed
     keys = [located(study, parameter) for parameter in parameters]
     # what is no spring, damper or friction where it is zero, and whole numbers, make another kind of driveline
     kinds = np.stack([_kinds(key.whole, place, values[:, k]) for k, (place, key, _) in enumerate(keys)], axis=-1)

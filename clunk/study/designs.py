@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from clunk.study.arrays import Cells, Floats
 from clunk.study.axes import ResultAxis, run_axis
 from clunk.study.document import dotted
-from clunk.study.errors import ConfigError, Problem, report
+from clunk.study.errors import Problem, report
 from clunk.study.keys import validated, with_tuples
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import drawn_numbers, located, quantity, unswept_value
@@ -120,19 +120,6 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
             point = f"point {int(place[4]) + 1}: " if len(place) > 4 else ""
         problems.append(Problem(key, None, point + message.removeprefix(f"{key}: ")))
     raise report("this set of points", problems)
-
-
-def refuse_points(study: Study, parameters: Sequence[str], values: Floats) -> None:
-    """Refuse points of a study, (n, parameters), whose values are not allowed. Raises ConfigError.
-
-    All are looked at together, by the least and the greatest of each parameter; the points themselves only where one of
-    these may not be.
-    """
-    ends = np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
-    try:
-        design_of_points(study, dict(zip(parameters, ends, strict=True)))
-    except ConfigError:
-        design_of_points(study, dict(zip(parameters, values.T, strict=True)))
 
 
 def has_tolerances(study: Study) -> bool:

@@ -168,22 +168,14 @@ def unswept_value(config: Config, parameter: str) -> float:
 
 
 def nominal_value(config: Config, parameter: str) -> float:
-    """The value of a parameter in its own unit, as `get_value`, but NaN where it has none."""
-    return located(config, parameter)[2]
-
-
-def get_value(config: Config, parameter: str) -> float:
-    """The value of a parameter, in its own unit.
+    """The value of a parameter, in its own unit; NaN where it has none in this config.
 
     Raises
     ------
     ConfigError
-        Where there is no such parameter, or it has no value in this study.
+        Where there is no such parameter.
     """
-    value = nominal_value(config, parameter)
-    if math.isnan(value):
-        raise _refusal(parameter, "has no value in this study")
-    return value
+    return located(config, parameter)[2]
 
 
 @functools.lru_cache(maxsize=1024)
