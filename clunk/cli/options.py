@@ -66,7 +66,9 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     named = nearest_values(design.axes, at)
     missing = [axis for axis in design.axes if axis.parameter not in named]
     if missing and all_needed:
-        raise click.UsageError(f"Which cell? Also name {' '.join(map(at_middle, missing))}, for example.")
+        middles = [f"{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}" for axis in missing]
+        named_so = " ".join(f"--at {shlex.quote(middle)}" for middle in middles)
+        raise click.UsageError(f"Which cell? Also name {named_so}, for example.")
     unnamed = [each for axis in missing for each in axis.parameters]
     if unnamed:
         listed = ", ".join(f"{axis.parameter} = {nominal_value(study, axis.parameter):g}" for axis in unnamed)
@@ -75,11 +77,6 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     if run is not None:
         named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}
     return named
-
-
-def at_middle(axis: ResultAxis) -> str:
-    """The option that names an axis's middle value."""
-    return f"--at {shlex.quote(f'{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}')}"
 
 
 def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...]) -> dict[str, float]:

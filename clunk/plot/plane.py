@@ -210,7 +210,7 @@ def scale_axis(ax: Axes, which: str, axis: ResultAxis, most: int = 10) -> None:
 def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
     """A parameter's value with its name, or shorter with its `symbol`, and its unit; or its word."""
     if axis.words:
-        return axis.word(value)
+        return axis.words[axis.nearest(value)]
     name = bare(axis.symbol) if symbol else axis.name
     return f"{name or axis.parameter} = {number_text(value)}{_unit(axis)}"
 

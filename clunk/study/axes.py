@@ -62,10 +62,6 @@ class ResultAxis:
         along = tuple(each.part(places) for each in self.along)
         return replace(self, values=self.values[places], words=self.words[places], along=along)
 
-    def word(self, value: float) -> str:
-        """The word of a value; empty where values are none."""
-        return self.words[self.nearest(value)] if self.words else ""
-
     def nearest(self, value: float) -> int:
         """Index of the value nearest to this one; of two as near, the first. Raises ValueError beyond the axis."""
         lowest, highest = self.values.min(), self.values.max()

@@ -217,6 +217,7 @@ def assign(document: dict[str, Any], place: Place, value: Any) -> str | None:
 
 _HEADER = re.compile(r"\s*(\[\[?)([^\[\]]+)\]\]?\s*(#.*)?$")
 _ASSIGNMENT = re.compile(r"\s*([^=#\[{]+)=")
+_KEY = re.compile(r"[\w-]+|\"[^\"]*\"|'[^']*'")
 
 
 def key_lines(text: str) -> dict[Place, int]:
@@ -226,7 +227,8 @@ def key_lines(text: str) -> dict[Place, int]:
     table: Place = ()
     for number, line in enumerate(text.split("\n"), 1):
         header, assignment = _HEADER.match(line), _ASSIGNMENT.match(line)
-        keys = _keys(header[2] if header else assignment[1] if assignment else "")
+        text_of_keys = header[2] if header else assignment[1] if assignment else ""
+        keys = [key.strip("'\"") for key in _KEY.findall(text_of_keys)]
         place = () if header and keys else table
         for k, key in enumerate(keys, 1):
             place = (*place, key)
@@ -238,16 +240,3 @@ def key_lines(text: str) -> dict[Place, int]:
                 lines.setdefault(place, number)
         table = place if header else table
     return lines
-
-
-def _keys(text: str) -> list[str]:
-    """The keys of a dotted key of TOML; none of what is none."""
-    try:
-        node = tomllib.loads(f"{text} = 0")
-    except (ValueError, RecursionError):
-        return []
-    keys = []
-    while isinstance(node, dict):
-        ((key, node),) = node.items()
-        keys.append(key)
-    return keys

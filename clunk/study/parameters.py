@@ -190,11 +190,11 @@ def quantity(parameter: str) -> Quantity:
     place = place_of(parameter, {})
     key = None if place is None else key_at(place)
     if place is None or key is None or key.quantity is None:
-        raise _refusal(parameter, complaint(parameter, {"driveline": {"inertias": [1.0], "shafts": [{}]}}))
+        raise _refusal(parameter)
     items = [step + 1 for step in place if isinstance(step, int)]
     return Quantity(key.quantity.name.format(*items), key.quantity.symbol.format(*items), key.quantity.unit)
 
 
-def _refusal(parameter: str, message: str | None) -> ConfigError:
-    message = message or "is no quantity"
+def _refusal(parameter: str, message: str | None = None) -> ConfigError:
+    message = message or "is no numeric key of a config"
     return ConfigError(f"{parameter}: {message}", [Problem(parameter, None, message)])

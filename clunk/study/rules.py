@@ -200,10 +200,10 @@ def _measured(config: Config) -> Iterator[Finding]:
 
 def _varied(config: Config) -> Iterator[Finding]:
     """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
-    swept: dict[tuple[str, str], Place] = {}
+    swept: dict[str, dict[str, Place]] = {}
     document = config.model_dump(exclude=NOT_OF_A_RUN)
     for table, verb in _VARIED:
-        taken: dict[tuple[str, str], Place] = {}
+        taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
         for k, entry in enumerate(getattr(getattr(config, table[0]), table[1], ())):
             at: Place = (*table, k)
             # a factor and an offset of a key act one after the other, in a fit on a value, too
@@ -211,15 +211,15 @@ def _varied(config: Config) -> Iterator[Finding]:
             for parameter in getattr(entry, "keys", (entry.parameter,)):
                 text = complaint(parameter, document) or load_complaint(parameter, config)
                 if text is None and table != ("sweep", "axes"):
-                    text = _undrawable(parameter, entry, table, (parameter, "value") in swept, config)
-                before = {each: place for (key, each), place in taken.items() if key == parameter}
+                    text = _undrawable(parameter, entry, table, parameter in swept, config)
+                before = taken.setdefault(parameter, {})
                 is_again = draws in before or (bool(before) and table[0] != "fit" and "value" in (draws, *before))
                 if text is None and is_again:
                     text = f"{parameter} is {verb} {dotted(before.get(draws, next(iter(before.values()))))} already"
                 if text is not None:
                     yield (*at, "parameter"), text
                 else:
-                    taken[parameter, draws] = at
+                    before[draws] = at
         swept = swept or taken
     optimize = config.optimize
     if optimize is not None and optimize.robust is not None and not (config.sweep and config.sweep.tolerances):
