@@ -47,8 +47,8 @@ class SmallGap(NamedTuple):
 
     @property
     def periods(self) -> float:
-        """n_c = ln(σr) / (2π ζ1); not a number where the envelope never crosses zero."""
-        return float(np.log(self.ratio) / (2.0 * np.pi * self.damping_ratio)) if self.ratio > 0.0 else np.nan
+        """n_c, see `periods_in_envelope`."""
+        return periods_in_envelope(self.ratio, self.damping_ratio)
 
     @property
     def characteristic_time(self) -> float:
@@ -90,33 +90,24 @@ class SmallGap(NamedTuple):
         return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)
 
 
-def periods_in_envelope(study: Study, ratio: float) -> float:
+def periods_in_envelope(ratio: float, damping_ratio: float) -> float:
     """n_c, how many periods the envelope of the lowest mode stays above the static torque.
 
-    n_c = ln(σr) / (2π ζ1) (report Eq. 3.1, where 2π is missing); NaN where nothing oscillates.
+    n_c = ln(σr) / (2π ζ1) (report Eq. 3.1, where 2π is missing); not a number where the envelope never crosses zero.
     """
-    damping_ratio = _lowest_damping_ratio(study)
-    if damping_ratio is None or ratio <= 0.0:
-        return float("nan")
-    return float(np.log(ratio) / (2.0 * np.pi * damping_ratio))
+    return float(np.log(ratio) / (2.0 * np.pi * damping_ratio)) if ratio > 0.0 else np.nan
 
 
 def one_mode_thresholds(study: Study, count: int = 4) -> Floats:
     """Load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
 
-    σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Table 3.1). Empty for a driveline that does not oscillate.
+    σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Table 3.1). Empty for a driveline that does not oscillate, and
+    for shafts with stages, with which no one mode does.
     """
-    damping_ratio = _lowest_damping_ratio(study)
-    if damping_ratio is None:
-        return np.empty(0)
-    return np.asarray(np.exp(2.0 * np.pi * damping_ratio * (np.arange(1, count + 1) - 0.5)), np.float64)
-
-
-def _lowest_damping_ratio(study: Study) -> float | None:
-    """ζ1 of the closed lash; None where nothing oscillates, or no one mode does for shafts with stages."""
     driveline = Driveline.from_study(study)
-    ratios = np.empty(0) if driveline.staged else driveline.modes(closed=True).damping_ratio
-    return float(ratios[0]) if ratios.size else None
+    lowest = np.empty(0) if driveline.staged else driveline.modes(closed=True).damping_ratio[:1]
+    levels: Floats = np.exp(2.0 * np.pi * lowest[:, None] * (np.arange(1, count + 1) - 0.5))
+    return levels.ravel()
 
 
 def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:

@@ -319,9 +319,8 @@ def _with(record: np.dtype[np.void], fields: list[tuple[str, str]]) -> np.dtype[
 def _joined(records: Records, layout: np.dtype[np.void], columns: Floats) -> Records:
     """Records of a type with further fields, whose values are columns."""
     joined = np.zeros(records.size, layout)
-    known = records.dtype.names or ()
-    for name in known:
-        joined[name] = records[name]
+    known = [*(records.dtype.names or ())]
+    joined[known] = records
     for name, column in zip((layout.names or ())[len(known) :], columns.T, strict=True):
         joined[name] = column
     return joined
@@ -329,14 +328,9 @@ def _joined(records: Records, layout: np.dtype[np.void], columns: Floats) -> Rec
 
 def compiling_note(*studies: Study) -> str:
     """Sentence on the time that the kernels of these studies take to compile; empty where that has been done."""
-    cold = {}
-    for study in studies:
-        method = study.solver.method
-        if is_cold(method):
-            cold[method] = _COMPILING[method]
-    if not cold:
-        return ""
-    return f"compiling {' and '.join(cold)}, once for this installation (about {sum(cold.values())} s) …"
+    cold = sorted({study.solver.method for study in studies if is_cold(study.solver.method)})
+    seconds = sum(_COMPILING[method] for method in cold)
+    return f"compiling {' and '.join(cold)}, once for this installation (about {seconds} s) …" if cold else ""
 
 
 def warm_up(study: Study) -> None:

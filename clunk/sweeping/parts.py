@@ -79,21 +79,20 @@ class WorkingDirectory:
         return sorted(self.path.glob("part-" + 6 * "[0-9]"))
 
     def clear(self) -> None:
-        """Remove everything but the lock."""
+        """Remove the parts and what belongs to them; what someone else has put there stays."""
         try:
-            for path in self.path.iterdir():
-                if path.name != "lock":
-                    path.unlink()
+            for path in [*self.parts(), *self.path.glob(".*.tmp"), self.path / "manifest.json"]:
+                path.unlink(missing_ok=True)
         except OSError as error:
             raise PartsError(f"{self.path} cannot be emptied: {reason(error)}.") from error
 
     def remove(self) -> None:
         """Remove the directory, unless someone has put something else there."""
-        with suppress(OSError):
-            for path in [*self.parts(), *self.path.glob(".*.tmp"), self.path / "manifest.json", self.path / "lock"]:
-                if path.name == "lock" and os.name == "nt" and self._lock is not None:
-                    self._lock.close()  # Windows removes no open file
-                path.unlink(missing_ok=True)
+        with suppress(OSError, PartsError):
+            self.clear()
+            if os.name == "nt" and self._lock is not None:
+                self._lock.close()  # Windows removes no open file
+            (self.path / "lock").unlink(missing_ok=True)
             self.path.rmdir()
 
     def _locked(self) -> BinaryIO | None:
