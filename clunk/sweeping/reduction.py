@@ -6,7 +6,9 @@ and tolerance maps (`clunk.sweeping.tolerances`) differ in the grid and in the m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -25,6 +27,8 @@ from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.cells import Grid, Layout, Tile
+from clunk.sweeping.engines import run_tiles
+from clunk.sweeping.progress import Progress
 
 
 def labels_of(records: Records, impacts: Records) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
@@ -97,6 +101,27 @@ class Reduction:
         self._details.append((rows, tile.details))
         self.known[tile.cells] = True
         self.done += tile.cells.size
+
+    def run(
+        self,
+        engine: Executor | None = None,
+        workers: int | None = None,
+        progress: Progress | None = None,
+        keep: Callable[[Tile], None] | None = None,
+    ) -> None:
+        """Run the cells that have not been added; of these, none that runs at an interrupt.
+
+        engine, workers : see `run_tiles`
+        progress : called in this thread with the number of cells after each tile
+        keep : called with each tile that has been added
+        """
+        with closing(run_tiles(self.grid, np.flatnonzero(~self.known), engine, workers)) as tiles:
+            for tile in tiles:
+                self.add(tile)
+                if keep is not None:
+                    keep(tile)
+                if progress is not None:
+                    progress(self.done, self.design.cells)
 
     def collected(self) -> tuple[Records, Records]:
         """Records of all rows, and their details, those of each row behind those of the row before it."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import closing
 from functools import cached_property
 from operator import itemgetter
 
@@ -21,7 +20,6 @@ from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.study import Study
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import run_tiles
 from clunk.sweeping.machine import provenance
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.reduction import Reduction, heading_of, regime_map
@@ -67,7 +65,7 @@ class Runner:
         self.keys = tuple(dotted(located(study, key)[0]) for key in keys)
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
         self._engine, self._workers = engine, workers
-        self._allowed: tuple[Floats, Floats] | None = None  # least and greatest values that were looked at
+        self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were looked at
 
     def __call__(self, points: npt.ArrayLike, *, progress: Progress | None = None) -> Results:
         """Run points.
@@ -94,11 +92,7 @@ class Runner:
         """Run points, (n, keys), whose values are allowed."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
         reduction.heading["config_digest"] = self.digest(values)
-        with closing(run_tiles(reduction.grid, np.arange(len(values)), self._engine, self._workers)) as tiles:
-            for tile in tiles:
-                reduction.add(tile)
-                if progress is not None:
-                    progress(reduction.done, len(values))
+        reduction.run(self._engine, self._workers, progress)
         return regime_map(reduction, self._attributes)
 
     def digest(self, values: Floats) -> str:
@@ -120,16 +114,15 @@ class Runner:
                 f"Points are rows of {len(self.keys)} values, of {', '.join(self.keys)}; their array has the shape "
                 f"{values.shape}."
             )
-        least, greatest = values.min(axis=0), values.max(axis=0)
-        if self._allowed is None or not ((self._allowed[0] <= least) & (greatest <= self._allowed[1])).all():
-            if self._allowed is not None:
-                least, greatest = np.fmin(self._allowed[0], least), np.fmax(self._allowed[1], greatest)
+        known = np.concatenate([values, self._allowed])
+        ends = np.stack([known.min(axis=0), known.max(axis=0)])
+        if not np.array_equal(ends, self._allowed):
             try:
-                design_of_points(self.study, dict(zip(self.keys, np.stack([least, greatest], axis=1), strict=True)))
-            except ConfigError:  # some point, or none but this pair of all
+                design_of_points(self.study, dict(zip(self.keys, ends.T, strict=True)))
+            except ConfigError:  # some point, or none but these two
                 design_of_points(self.study, dict(zip(self.keys, values.T, strict=True)))
             else:
-                self._allowed = least, greatest
+                self._allowed = ends
         return values
 
     def _design(self, values: Floats) -> Design:

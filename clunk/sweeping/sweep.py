@@ -8,11 +8,9 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
-
-import numpy as np
 
 from clunk.core.status import Status
 from clunk.results.maps import AnyMap, Results
@@ -24,7 +22,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.records import counted
 from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid, warm_up
-from clunk.sweeping.engines import EngineError, Threads, run_tiles
+from clunk.sweeping.engines import EngineError, Threads
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
@@ -95,13 +93,6 @@ class Job:
         """Finished cells on the disk, if they are kept. Raises PartsError where they are another sweep's."""
         return None if self.directory is None or self.earlier is not None else Parts(self.directory, self.study)
 
-    @property
-    def kept(self) -> str:
-        """Sentence on the cells that are on the disk of a sweep that was stopped."""
-        if self.parts is None or not self.parts.kept:
-            return "no cell was finished"
-        return f"{self.parts.kept:,} cells are kept in {self.parts.directory.path}; the same command goes on from there"
-
     def finished(self) -> AnyMap:
         """Read the map that is complete already. Raises StoreError."""
         assert self.path is not None
@@ -161,19 +152,16 @@ class Job:
             if progress is not None:
                 progress(reduction.done, self.design.cells)
         try:
-            # closing it abandons the cells that run at an interrupt
-            with closing(run_tiles(reduction.grid, np.flatnonzero(~reduction.known), engine, workers)) as tiles:
-                for tile in tiles:
-                    reduction.add(tile)
-                    if parts is not None:
-                        parts.add(tile)
-                    if progress is not None:
-                        progress(reduction.done, self.design.cells)
+            reduction.run(engine, workers, progress, None if parts is None else parts.add)
         except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
             if parts is not None:
                 parts.flush()
             if self.path is not None:
-                stopped.add_note(self.kept)
+                stopped.add_note(
+                    f"{parts.kept:,} cells are kept in {parts.directory.path}; the same command goes on from there"
+                    if parts is not None and parts.kept
+                    else "no cell was finished"
+                )
             raise
         make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
         result: AnyMap = make(reduction, provenance(engine))
