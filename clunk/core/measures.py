@@ -22,7 +22,7 @@ from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS,
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer, reference_at, rows_of
-from clunk.core.regimes import System, gap_input
+from clunk.core.regimes import System, gap_input, speed_of
 from clunk.core.rigid import held_with
 from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
 from clunk.core.severity import root_of_squares
@@ -202,7 +202,7 @@ def _add_event(
             impulse, speeds = 0.0, 0.0
             for k in range(begin, e + 1):
                 struck, before = events[k].lash, events[k].speed
-                after = _speed(system, struck, x)
+                after = speed_of(system, struck, x[: system.lashes.shape[1]])
                 impulse += channels.passed[driveline, together & ~(1 << struck), struck, other] * (before - after)
                 speeds += (before + after) * (struck == other)
             room.of_impacts[row[other], IMPULSE] += abs(impulse)
@@ -223,14 +223,6 @@ def _are_one_impact(events: npt.NDArray[np.void], states: FloatArray, e: int) ->
     for j in range(states.shape[1]):
         same = same and states[e, j] == states[e + 1, j]
     return bool(same)
-
-
-@inlined_part
-def _speed(system: System, lash: int, x: FloatArray) -> float:
-    speed = 0.0
-    for j in range(system.lashes.shape[1]):
-        speed += system.lashes[lash, j] * x[j]
-    return speed
 
 
 @part

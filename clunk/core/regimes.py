@@ -218,6 +218,15 @@ def lash_of(system: System, regime: int, guard: int) -> int:
     return int(system.guards[regime, guard].lash)
 
 
+@inlined_part
+def speed_of(system: System, lash: int, x: FloatArray) -> float:
+    """The speed q' of a lash  [rad/s]."""
+    speed = 0.0
+    for k in range(x.size):
+        speed += system.lashes[lash, k] * x[k]
+    return float(speed)
+
+
 @part
 def guard_of(system: System, regime: int, functional: int, sign: float) -> int:
     """The guard of a regime that is a functional of this sign and an offset, or -1."""

@@ -21,8 +21,9 @@ from clunk.core.regimes import (
     lash_of,
     lashes_of,
     opened,
+    speed_of,
 )
-from clunk.core.runs import Entry, Log, record
+from clunk.core.runs import Entry, Moment, record
 from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 
 FloatArray = npt.NDArray[np.float64]
@@ -34,18 +35,7 @@ _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part
 
 
 @part
-def strike(
-    system: System,
-    regime: int,
-    guard: int,
-    time: float,
-    speed: float,
-    x: FloatArray,
-    inputs: FloatArray,
-    log: Log,
-    count: int,
-    fastest: FloatArray,
-) -> Entry:
+def strike(at: Moment, regime: int, guard: int, speed: float, count: int, fastest: FloatArray) -> Entry:
     """A touch of the restitution model, and the lock that may follow it at once.
 
     Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
@@ -53,125 +43,86 @@ def strike(
     open, with the gap at zero and about to open. Where other open lashes touch at the same time, as those of equal
     branches do, all of them rebound, or come to rest, by their speeds before.
     """
+    system, x = at.system, at.x
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
     fastest[lash] = max(fastest[lash], abs(speed))
-    regime = opened(system, _resting_on(system, regime, x, inputs, log, count), lash)
-    slowest, before = _locking_speed(system, regime, lash, x, inputs, fastest[lash]), regime
+    regime = opened(system, _resting_on(at, regime, count), lash)
+    slowest, before = _locking_speed(at, regime, lash, fastest[lash]), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
     held = held_with(system, regime, lash)
     if held != 0 and abs(speed) > slowest:
-        held = _held_through(system, regime, lash, side, inputs)
+        held = _held_through(system, regime, lash, side, at.inputs)
     for other in range(lashes_of(system)):
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
-            _part_by(ROUNDING, system, held, other, system.contacts[before, other].side, x, inputs)
+            _part_by(ROUNDING, at, held, other, system.contacts[before, other].side)
             regime = opened(system, regime, other)
-    first = last = count
-    if rebounds or frictions_of(system) == 0:
-        last = _note_touches_beside(system, before, lash, rebounds, x, inputs, log, count, fastest)
-    if rebounds:  # θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l), report Eq. 2.9, M with what holds as rigid joints
-        for k in range(x.size):
-            x[k] -= (1.0 + system.restitution[lash]) * speed * system.impulse[held, lash, k]
-    if last > first:
-        _strike_together(system, held, lash, speed, rebounds, x, log, first, last)
-    if not rebounds:
-        _hold(system, held, lash, x, side * inputs[gap_input(lash)])
+    events = at.log.events
+    events[count].lash, events[count].speed, events[count].side = lash, speed, side
+    touches = events[count : _note_touches_beside(at, before, lash, rebounds, count, fastest)]
+    _strike_together(system, held, rebounds, x, touches)
+    touched, resting = 0, held
+    for touch in touches:
+        if not rebounds:
+            _hold(system, resting, touch.lash, x, touch.side * at.inputs[gap_input(touch.lash)])
+        touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
     if frictions_of(system) > 0:
         regime = rubbing.in_motion(system, regime, abs(speed), x)
-        rubbing.stick_all(system, x, inputs)
-    record(log, first, time, speed, TOUCH, regime, lash, side, x)
-    for k in range(first + 1, last + 1):
-        event = log.events[k]
-        record(log, k, time, event.speed, TOUCH, regime, event.lash, 1 if event.speed > 0.0 else -1, x)
-    count = last + 1
+        rubbing.stick_all(system, x, at.inputs)
+    for touch in touches:
+        record(at, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
+        count += 1
     for other in range(lashes_of(system)):
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
-            record(log, count, time, 0.0, SEPARATION, regime, other, system.contacts[before, other].side, x)
+            record(at, count, 0.0, SEPARATION, regime, other, system.contacts[before, other].side)
             count += 1
-    guard = _touch_of(system, regime, lash, side)
     if rebounds:
-        return Entry(count, regime, guard, 1)
-    if frictions_of(system) > 0:
-        return enter_chosen(system, system.guards[regime, guard].successor, -1, lash, time, x, inputs, log, count)
-    stays_open = -1
-    for k in range(first, last + 1):
-        lash, side = log.events[k].lash, log.events[k].side
-        if k > first:
-            _hold(system, held_with(system, regime, lash), lash, x, side * inputs[gap_input(lash)])
-        torque_held, slope, scale = holding_torque(system, regime, lash, x, inputs)
-        pressing = side * torque_held
-        if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
-            pressing = side * slope
-        if not pressing >= 0.0:
-            stays_open = k
-            continue
-        regime = system.guards[regime, _touch_of(system, regime, lash, side)].successor
-        record(log, count, time, 0.0, LOCK, regime, lash, side, x)
-        count += 1
-    if stays_open < 0:
-        return Entry(count, regime, -1, 0)
-    return Entry(count, regime, _touch_of(system, regime, log.events[stays_open].lash, log.events[stays_open].side), 2)
+        return Entry(count, regime, _touch_of(system, regime, lash, side), 1)
+    for touch in touches:
+        regime = system.guards[regime, _touch_of(system, regime, touch.lash, touch.side)].successor
+    return enter_chosen(at, regime, -1, touched, count)
 
 
 @part
-def _note_touches_beside(
-    system: System,
-    regime: int,
-    lash: int,
-    rebounds: bool,
-    x: FloatArray,
-    inputs: FloatArray,
-    log: Log,
-    count: int,
-    fastest: FloatArray,
-) -> int:
-    """Write lash and speed of the other open lashes that touch at the same time, as those of equal branches do.
+def _note_touches_beside(at: Moment, regime: int, lash: int, rebounds: bool, count: int, fastest: FloatArray) -> int:
+    """Write lash, speed and side of the other open lashes that touch at the same time, as those of equal branches do.
 
-    Of these, the ones that rebound, or do not, as the lash itself. They are behind the event `count`, which will be the
-    touch of the lash; returns the number of the last of them.
+    Of these, the ones that rebound, or do not, as the lash itself. They are behind the event `count`, its touch.
+    Returns how many events there are then.
     """
-    last = count
+    system, events = at.system, at.log.events
     for other in range(lashes_of(system)):
-        (twist, size), speed = rubbing.twist_of(system, system.lashes[other], x), 0.0
-        for k in range(x.size):
-            speed += system.lashes[other, k] * x[k]
-        is_near = abs(inputs[gap_input(other)] - twist * np.sign(speed)) <= INSTANT * abs(speed) + _APART * size
+        twist, size = rubbing.twist_of(system, system.lashes[other], at.x)
+        its_speed = speed_of(system, other, at.x)
+        gap = abs(at.inputs[gap_input(other)] - twist * np.sign(its_speed))
+        is_near = gap <= INSTANT * abs(its_speed) + _APART * size
         if other == lash or system.contacts[regime, other].closed != 0 or not is_near:
             continue
-        fastest[other] = max(fastest[other], abs(speed))
-        slowest = _locking_speed(system, regime, other, x, inputs, fastest[other])
-        if (system.restitution[other] * abs(speed) > slowest) == rebounds:
-            last += 1
-            log.events[last].lash, log.events[last].speed = other, speed
-    return last
+        fastest[other] = max(fastest[other], abs(its_speed))
+        slowest = _locking_speed(at, regime, other, fastest[other])
+        if (system.restitution[other] * abs(its_speed) > slowest) == rebounds:
+            count += 1
+            events[count].lash, events[count].speed = other, its_speed
+            events[count].side = 1 if its_speed > 0.0 else -1
+    return count + 1
 
 
 @part
-def _strike_together(
-    system: System,
-    held: int,
-    lash: int,
-    speed: float,
-    rebounds: bool,
-    x: FloatArray,
-    log: Log,
-    first: int,
-    last: int,
-) -> None:
-    """Give lashes that touch at one time the speeds that they shall have, each by its own before the impacts.
+def _strike_together(system: System, held: int, rebounds: bool, x: FloatArray, touches: npt.NDArray[np.void]) -> None:
+    """Give lashes that touch at one time the speeds that they shall have: θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l), Eq. 2.9.
 
-    One impulse after the other brings its lash to its speed, and changes others by less, until all have theirs.
+    M has what holds as rigid joints, and e is 0 without rebound. One impulse after the other brings its lash to its
+    speed, and changes others by less, until all have theirs.
     """
-    for _ in range(_MOST_IMPULSES):
-        furthest = 0.0
-        for k in range(first, last + 1):
-            struck, before = (lash, speed) if k == first else (log.events[k].lash, log.events[k].speed)
-            excess = system.restitution[struck] * before if rebounds else 0.0
-            for j in range(x.size):
-                excess += system.lashes[struck, j] * x[j]
-            for j in range(x.size):
-                x[j] -= excess * system.impulse[held, struck, j]
-            furthest = max(furthest, abs(excess) / abs(before))
-        if furthest <= ROUNDING:
+    for _ in range(_MOST_IMPULSES if touches.size > 1 else 1):
+        is_done = True
+        for touch in touches:
+            excess = speed_of(system, touch.lash, x)
+            if rebounds:
+                excess += system.restitution[touch.lash] * touch.speed
+            for k in range(x.size):
+                x[k] -= excess * system.impulse[held, touch.lash, k]
+            is_done = is_done and abs(excess) <= ROUNDING * abs(touch.speed)
+        if is_done:
             break
 
 
@@ -224,143 +175,122 @@ def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
 
 
 @part
-def release(
-    system: System,
-    regime: int,
-    guard: int,
-    time: float,
-    x: FloatArray,
-    inputs: FloatArray,
-    log: Log,
-    count: int,
-) -> Entry:
+def release(at: Moment, regime: int, guard: int, count: int) -> Entry:
     """A separation of the restitution model; without a gap the flanks lock on the other side at once.
 
     Where several lashes are closed or frictions stick, those part that can, whichever one's torque turned first.
     """
-    row, lash = system.guards[regime, guard], lash_of(system, regime, guard)
-    side, half_gap, others = row.side, inputs[gap_input(lash)], held_with(system, regime, lash)
-    if half_gap <= 0.0:  # no free state
-        _hold(system, others, lash, x, side * half_gap)
-        record(log, count, time, 0.0, row.event_kind, row.successor, lash, side, x)
-        free = opened(system, regime, lash)
-        successor = free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * system.regime_strides[lash]
-        record(log, count + 1, time, 0.0, TOUCH, free, lash, -side, x)
-        record(log, count + 2, time, 0.0, LOCK, successor, lash, -side, x)
-        return Entry(count + 3, successor, 0, 1)
-    if others != 0 or frictions_of(system) > 0:
-        return enter_chosen(system, regime, guard, -1, time, x, inputs, log, count)
-    return _part(system, regime, -1, Entry(count, row.successor, -1, 0), time, x, inputs, log)
+    system, row, lash = at.system, at.system.guards[regime, guard], lash_of(at.system, regime, guard)
+    side, half_gap = row.side, at.inputs[gap_input(lash)]
+    if half_gap > 0.0:
+        return enter_chosen(at, regime, guard, 0, count)
+    _hold(system, held_with(system, regime, lash), lash, at.x, side * half_gap)
+    record(at, count, 0.0, row.event_kind, row.successor, lash, side)
+    free = opened(system, regime, lash)
+    successor = free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * system.regime_strides[lash]
+    record(at, count + 1, 0.0, TOUCH, free, lash, -side)
+    record(at, count + 2, 0.0, LOCK, successor, lash, -side)
+    return Entry(count + 3, successor, 0, 1)
 
 
 @part
-def enter_chosen(
-    system: System,
-    regime: int,
-    ended: int,
-    touched: int,
-    time: float,
-    x: FloatArray,
-    inputs: FloatArray,
-    log: Log,
-    count: int,
-) -> Entry:
+def enter_chosen(at: Moment, regime: int, ended: int, touched: int, count: int) -> Entry:
     """Entry into the regime of `rubbing.choose_states`, with the events that this makes.
 
     touched : int
-        The lash that touches at this moment, which locks or never was closed, or -1.
+        The lashes that touch at this moment, as bits, which lock or never were closed.
     """
-    before = _resting_on(system, regime, x, inputs, log, count)
-    successor, zero_guard, zero_order = rubbing.choose_states(system, regime, before, ended, time, x, inputs)
-    rests = touched >= 0 and rubbing.is_carried(system, successor, touched, x, inputs)
-    if touched >= 0 and (rests or system.contacts[successor, touched].closed != 0):
-        record(log, count, time, 0.0, LOCK, successor, touched, system.contacts[regime, touched].side, x)
-        count += 1
-    entry = _part(system, before, touched, Entry(count, successor, zero_guard, zero_order), time, x, inputs, log)
+    system, before = at.system, _resting_on(at, regime, count)
+    successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
+    for lash in range(lashes_of(system)):
+        is_closed = system.contacts[successor, lash].closed != 0
+        if touched >> lash & 1 and (is_closed or rubbing.is_carried(at, successor, lash)):
+            record(at, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
+            count += 1
+    entry = _part(at, before, touched, Entry(count, successor, zero_guard, zero_order))
     count = entry.written
-    if log.states.shape[0] > 0 and log.events[count - 1].regime != successor:
-        record(log, count, time, 0.0, STAGE, successor, -1, 0, x)
+    if at.log.states.shape[0] > 0 and at.log.events[count - 1].regime != successor:
+        record(at, count, 0.0, STAGE, successor, -1, 0)
         count += 1
     return Entry(count, successor, entry.zero_guard, entry.zero_order)
 
 
 @part
-def _resting_on(system: System, regime: int, x: FloatArray, inputs: FloatArray, log: Log, count: int) -> int:
+def _resting_on(at: Moment, regime: int, count: int) -> int:
     """The regime with those lashes closed that have not separated, as the log tells, and whose flanks others hold."""
+    system, events = at.system, at.log.events
     for lash in range(lashes_of(system) if frictions_of(system) > 0 and system.impulsive != 0 else 0):
-        if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(system, regime, lash, x, inputs):
+        if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(at, regime, lash):
             last = count - 1
-            while last > 0 and log.events[last].lash != lash:
+            while last > 0 and events[last].lash != lash:
                 last -= 1
-            if log.events[last].kind != SEPARATION:
-                twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
+            if events[last].kind != SEPARATION:
+                twist, _ = rubbing.twist_of(system, system.lashes[lash], at.x)
                 regime += (CLOSED_POSITIVE if twist > 0.0 else CLOSED_NEGATIVE) * system.regime_strides[lash]
     return int(regime)
 
 
 @part
-def _part(
-    system: System, before: int, touched: int, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log
-) -> Entry:
+def _part(at: Moment, before: int, touched: int, entry: Entry) -> Entry:
     """Separations of flanks at rest: of those closed in the regime before, and open in the one that is entered.
 
     touched : int
-        The lash that touches at this moment, whose flanks do not separate, or -1.
+        The lashes that touch at this moment, as bits, whose flanks do not separate.
     """
-    count, held, first, carried = entry.written, held_with(system, entry.regime, -1), -1, 0
+    system, x, count, first = at.system, at.x, entry.written, -1
+    held = held_with(system, entry.regime, -1)
+    stays = held | touched
     for lash in range(lashes_of(system)):
         side = system.contacts[before, lash].side
         if system.contacts[before, lash].closed == 0 or held >> lash & 1:
             continue
-        if rubbing.is_carried(system, entry.regime, lash, x, inputs):
-            _part_by(_APART, system, held, lash, side, x, inputs)
-            rubbing.stick_all(system, x, inputs)
-            carried |= 1 << lash
-        elif first < 0 and entry.zero_guard < 0:  # released where it was held, but for what rounding has added up
-            first = lash
-            _hold(system, held, lash, x, side * inputs[gap_input(lash)])
+        is_carried = rubbing.is_carried(at, entry.regime, lash)
+        if not is_carried and first < 0 and entry.zero_guard < 0:
+            first = lash  # released where it was held, but for what rounding has added up
+            _hold(system, held, lash, x, side * at.inputs[gap_input(lash)])
         else:
-            _part_by(_APART, system, held, lash, side, x, inputs)
+            _part_by(_APART, at, held, lash, side)
+        if is_carried:
+            rubbing.stick_all(system, x, at.inputs)
+            stays |= 1 << lash
     for lash in range(lashes_of(system)):
         contact = system.contacts[before, lash]
-        if contact.closed != 0 and not (held | carried) >> lash & 1 and lash != touched:
-            record(log, count, time, 0.0, SEPARATION, entry.regime, lash, contact.side, x)
+        if contact.closed != 0 and not stays >> lash & 1:
+            record(at, count, 0.0, SEPARATION, entry.regime, lash, contact.side)
             count += 1
     if first < 0:
         return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)
-    torque_held, slope, scale = holding_torque(system, entry.regime, first, x, inputs)
+    torque_held, slope, scale = holding_torque(at, entry.regime, first)
     # where a jump parts them, q'' is not zero; unless it presses, nothing but the load's slope may tell what zero is
     side = system.contacts[before, first].side
-    clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * time) or side * slope > 0.0
+    clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time) or side * slope > 0.0
     return Entry(count, entry.regime, _touch_of(system, entry.regime, first, side), 2 if clearly else 3)
 
 
 @part
-def _part_by(share: float, system: System, held: int, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> None:
+def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
     """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
-    gap, (_, size) = inputs[gap_input(lash)], rubbing.twist_of(system, system.lashes[lash], x)
-    _hold(system, held, lash, x, side * (gap - share * (gap + size)))
+    gap, (_, size) = at.inputs[gap_input(lash)], rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
+    _hold(at.system, held, lash, at.x, side * (gap - share * (gap + size)))
 
 
 @part
-def _locking_speed(system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray, fastest: float) -> float:
+def _locking_speed(at: Moment, regime: int, lash: int, fastest: float) -> float:
     """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding."""
-    tolerance = system.locking_speed[lash]
+    tolerance = at.system.locking_speed[lash]
     tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest
     # a rebound lower than the rounding of the gap cannot be followed
-    pull, _ = rubbing.change_of(system, regime, system.lashes[lash], x, inputs)
-    _, place = rubbing.twist_of(system, system.lashes[lash], x)
+    pull, _ = rubbing.change_of(at, regime, at.system.lashes[lash])
+    _, place = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
     return float(max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place)))
 
 
 @part
-def holding_torque(
-    system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray
-) -> tuple[float, float, float]:
+def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, float]:
     """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it."""
-    force = lash * system.functionals_per_lash + FORCE
-    torque_held, scale = rubbing.holding(system, regime, force, x, inputs)
-    return torque_held, rubbing.holding_slope(system, regime, force, x, inputs)[0], scale
+    force = lash * at.system.functionals_per_lash + FORCE
+    torque_held, scale = rubbing.holding(at, regime, force)
+    return torque_held, rubbing.holding_slope(at, regime, force)[0], scale
 
 
 @part

@@ -26,13 +26,13 @@ from clunk.core.regimes import (
     gap_input,
     guard_of,
     input_of_friction,
-    inputs_of,
     lashes_of,
     opened,
     rate_of_friction,
     state_of_friction,
     stride_of_friction,
 )
+from clunk.core.runs import Moment
 from clunk.core.tables import ABOVE, FORCE, HOLDING, SLIPS_BACKWARD, SLIPS_FORWARD, STICKS, TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
@@ -67,23 +67,17 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
 
 
 @part
-def choose_states(
-    system: System, regime: int, resting_on: int, ended: int, time: float, x: FloatArray, inputs: FloatArray
-) -> tuple[int, int, int]:
+def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple[int, int, int]:
     """The regime that follows one in which a guard of what rests turned negative, or torques or rates may jump.
 
     Parameters
     ----------
+    at : Moment
+        Its state is changed by less than rounding.
     resting_on : int
         The regime with all flanks closed that rest on each other, see `clunk.core.rigid`.
     ended : int
         The guard, or -1.
-    time : float  [s]
-        After the load step.
-    x : (N,) float64  [rad, rad/s]
-        Changed by less than rounding.
-    inputs : (I,) float64
-        d of the run; the twists of frictions that begin to stick are written to it.
 
     Returns
     -------
@@ -92,24 +86,25 @@ def choose_states(
         Its guard, of a friction, that is zero, and how many of the guard's derivatives are, itself included; -1 and 0
         without any.
     """
+    system, x, inputs = at.system, at.x, at.inputs
     count, event, resting, sticking, locked = frictions_of(system), -1, 0, 0, 0
     for k in range(count):
         if ended >= 0 and system.guards[regime, ended].functional - rate_of_friction(system, k) in (0, 1):
             event = k
     for k in range(count):
         rate, most = _rate(system, system.frictions[k], 0.0, x)
-        _, speeds_up = change_of(system, regime, system.frictions[k], x, inputs)
-        most += speeds_up * time  # no rate is known better than its time
+        _, speeds_up = change_of(at, regime, system.frictions[k])
+        most += speeds_up * at.time  # no rate is known better than its time
         sticks = state_of_friction(system, regime, k) == STICKS
         rests = k == event or sticks or abs(rate) <= _WITHIN * most
         resting, sticking = resting | rests << k, sticking | sticks << k
     for lash in range(lashes_of(system) if system.impulsive != 0 else 0):  # one without a gap has always a flank
         locked |= (system.contacts[resting_on, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
     may_stay = ended < 0 and system.excess[system.regimes[regime].flow] == 0
-    if may_stay and _misfits(system, regime, resting_on, locked, sticking, time, x, inputs) <= _WITHIN:
+    if may_stay and _misfits(at, regime, resting_on, locked, sticking) <= _WITHIN:
         return regime, -1, 0
     failed = regime if ended >= 0 and event < 0 else -1
-    best = _fitting(system, resting_on, failed, event, resting, locked, time, x, inputs)
+    best = _fitting(at, resting_on, failed, event, resting, locked)
 
     zero_guard, zero_order = -1, 0
     for k in range(count):
@@ -119,9 +114,9 @@ def choose_states(
                 inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
         elif resting >> k & 1 and not _is_held(system, best, rate_of_friction(system, k)):
             way = 1.0 if state == SLIPS_FORWARD else -1.0
-            speeds_up, size = change_of(system, best, system.frictions[k], x, inputs)
+            speeds_up, size = change_of(at, best, system.frictions[k])
             clearly = abs(speeds_up) > _WITHIN * size
-            sets_off = clearly or way * _jerk(system, best, k, x, inputs) > 0.0
+            sets_off = clearly or way * _jerk(at, best, k) > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             elif not clearly:
@@ -131,39 +126,20 @@ def choose_states(
 
 
 @part
-def _misfits(
-    system: System,
-    regime: int,
-    before: int,
-    locked: int,
-    resting: int,
-    time: float,
-    x: FloatArray,
-    inputs: FloatArray,
-) -> float:
+def _misfits(at: Moment, regime: int, before: int, locked: int, resting: int) -> float:
     """By how much some lashes and frictions at rest, as bits, miss their states in a regime, in sum; as `_misfit`."""
     misfit = 0.0
-    for lash in range(lashes_of(system)):
+    for lash in range(lashes_of(at.system)):
         if locked >> lash & 1:
-            misfit += _misfit_of_flanks(system, regime, before, lash, time, x, inputs)
-    for k in range(frictions_of(system)):
+            misfit += _misfit_of_flanks(at, regime, before, lash)
+    for k in range(frictions_of(at.system)):
         if resting >> k & 1:
-            misfit += _misfit(system, regime, k, x, inputs)
+            misfit += _misfit(at, regime, k)
     return misfit
 
 
 @part
-def _fitting(
-    system: System,
-    regime: int,
-    failed: int,
-    event: int,
-    resting: int,
-    locked: int,
-    time: float,
-    x: FloatArray,
-    inputs: FloatArray,
-) -> int:
+def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, locked: int) -> int:
     """The regime, of those in which only what rests has other states, whose states fit each other best.
 
     Of several it is the first: one in which some flanks part comes behind those in which only some of these do.
@@ -175,7 +151,7 @@ def _fitting(
     resting, locked : int
         The frictions and the lashes at rest, as bits.
     """
-    count, combinations = frictions_of(system), 1
+    system, count, combinations = at.system, frictions_of(at.system), 1
     for k in range(count):
         combinations *= 3 if resting >> k & 1 else 1
     least, best, closed = np.inf, regime, locked
@@ -196,7 +172,7 @@ def _fitting(
                 stays = states == (STICKS, STICKS)
             if stays or system.excess[system.regimes[candidate].flow] != 0:
                 continue
-            misfit = _misfits(system, candidate, regime, locked, resting, time, x, inputs)
+            misfit = _misfits(at, candidate, regime, locked, resting)
             if misfit < least:
                 least, best = misfit, candidate
         closed = (closed - 1) & locked if closed > 0 else -1
@@ -204,115 +180,108 @@ def _fitting(
 
 
 @part
-def _misfit_of_flanks(
-    system: System, regime: int, before: int, lash: int, time: float, x: FloatArray, inputs: FloatArray
-) -> float:
+def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     """By how much rigid flanks at rest, closed before, miss their state in a regime; as `_misfit`.
 
     Where they are closed, that is the torque that pulls at them; where they are open, the one that presses.
     """
-    way = float(system.contacts[before, lash].side)
+    system, way = at.system, float(at.system.contacts[before, lash].side)
     if system.contacts[regime, lash].closed == 0:
         way = -way
     functional = lash * system.functionals_per_lash + FORCE
-    torque, size = holding(system, regime, functional, x, inputs)
-    slope, slope_size = holding_slope(system, regime, functional, x, inputs)
-    size += slope_size * time
+    torque, size = holding(at, regime, functional)
+    slope, slope_size = holding_slope(at, regime, functional)
+    size += slope_size * at.time
     if -way * torque > _WITHIN * size:
         return float(-way * torque / size)
     return _WITHIN if way * torque < _WITHIN * size and way * slope < -_WITHIN * slope_size else 0.0
 
 
 @part
-def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> float:
+def _misfit(at: Moment, regime: int, friction: int) -> float:
     """By how much a friction at rest misses its state in a regime, as a share of the terms; 0 where it fits.
 
     Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
     it is `_WITHIN` if the friction is about to leave it.
     """
-    state, most = state_of_friction(system, regime, friction), system.friction_torques[friction]
+    system, most = at.system, at.system.friction_torques[friction]
+    state = state_of_friction(system, regime, friction)
     if state == STICKS:
         functional = rate_of_friction(system, friction) + HOLDING
-        torque, size = holding(system, regime, functional, x, inputs)
+        torque, size = holding(at, regime, functional)
         beyond, size = abs(torque) - most, size + most
-        leaves = torque * holding_slope(system, regime, functional, x, inputs)[0] > 0.0
+        leaves = torque * holding_slope(at, regime, functional)[0] > 0.0
         if leaves and system.impulsive != 0:  # at F, and not only at the little more that it holds
             beyond = max(beyond, min(abs(torque) - most / (1.0 + ABOVE), 0.0))
     elif _is_held(system, regime, rate_of_friction(system, friction)):
         return 0.0
     else:
         way = 1.0 if state == SLIPS_FORWARD else -1.0
-        speeds_up, size = change_of(system, regime, system.frictions[friction], x, inputs)
-        beyond, leaves = -way * speeds_up, way * _jerk(system, regime, friction, x, inputs) < 0.0
+        speeds_up, size = change_of(at, regime, system.frictions[friction])
+        beyond, leaves = -way * speeds_up, way * _jerk(at, regime, friction) < 0.0
     if beyond > _WITHIN * size:
         return float(beyond / size)
     return _WITHIN if leaves and beyond > -_WITHIN * size else 0.0
 
 
 @part
-def holding(system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
+def holding(at: Moment, regime: int, functional: int) -> tuple[float, float]:
     """A torque that holds a friction or flanks in a regime, and the sum of its terms' magnitudes  [N m]."""
-    flow = system.regimes[regime].flow
-    return _total(system, regime, system.functionals[flow, functional], system.feedthrough[flow, functional], x, inputs)
+    system, flow = at.system, at.system.regimes[regime].flow
+    return _total(at, regime, system.functionals[flow, functional], system.feedthrough[flow, functional])
 
 
 @part
-def _total(
-    system: System, regime: int, by_state: FloatArray, by_inputs: FloatArray, x: FloatArray, inputs: FloatArray
-) -> tuple[float, float]:
+def _total(at: Moment, regime: int, by_state: FloatArray, by_inputs: FloatArray) -> tuple[float, float]:
     """What a state, and the inputs by their weights in a regime, amount to; and the sum of its terms' magnitudes."""
     value, size = 0.0, 0.0
-    for k in range(x.size):
-        term = by_state[k] * x[k]
+    for k in range(at.x.size):
+        term = by_state[k] * at.x[k]
         value, size = value + term, size + abs(term)
-    for k in range(inputs_of(system)):
-        term = by_inputs[k] * (system.weights[regime, k] * inputs[k])
+    for k in range(at.inputs.size):
+        term = by_inputs[k] * (at.system.weights[regime, k] * at.inputs[k])
         value, size = value + term, size + abs(term)
     return value, size
 
 
 @part
-def holding_slope(
-    system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray
-) -> tuple[float, float]:
+def holding_slope(at: Moment, regime: int, functional: int) -> tuple[float, float]:
     """The rate of change of `holding`, and the sum of its terms' magnitudes  [N m/s]."""
-    flow = system.regimes[regime].flow
-    value, size = change_of(system, regime, system.functionals[flow, functional], x, inputs)
-    by_load = system.feedthrough[flow, functional, TORQUE] * inputs[TORQUE_RATE]
+    system, flow = at.system, at.system.regimes[regime].flow
+    value, size = change_of(at, regime, system.functionals[flow, functional])
+    by_load = system.feedthrough[flow, functional, TORQUE] * at.inputs[TORQUE_RATE]
     return value + by_load, size + abs(by_load)
 
 
 @part
-def change_of(
-    system: System, regime: int, weights: FloatArray, x: FloatArray, inputs: FloatArray
-) -> tuple[float, float]:
+def change_of(at: Moment, regime: int, weights: FloatArray) -> tuple[float, float]:
     """The rate of change in a regime of weights (N,) times the state, and the sum of its terms' magnitudes."""
     value, size = 0.0, 0.0
-    for k in range(x.size):
+    for k in range(at.x.size):
         if weights[k] != 0.0:
-            change, terms = _change(system, regime, k, x, inputs)
+            change, terms = _change(at, regime, k)
             value, size = value + weights[k] * change, size + abs(weights[k]) * terms
     return value, size
 
 
 @part
-def _change(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
+def _change(at: Moment, regime: int, k: int) -> tuple[float, float]:
     """The rate of change of state `k` in a regime, and the sum of its terms' magnitudes."""
-    flow = system.regimes[regime].flow
-    return _total(system, regime, system.rates[flow, k], system.inputs[flow, k], x, inputs)
+    system, flow = at.system, at.system.regimes[regime].flow
+    return _total(at, regime, system.rates[flow, k], system.inputs[flow, k])
 
 
 @part
-def _jerk(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> float:
+def _jerk(at: Moment, regime: int, friction: int) -> float:
     """The third derivative of a friction's twist in a regime  [rad/s3]."""
-    flow, value = system.regimes[regime].flow, 0.0
+    system, flow, value = at.system, at.system.regimes[regime].flow, 0.0
     for k in range(system.inertias, 2 * system.inertias):
         weight = system.frictions[friction, k]
         if weight != 0.0:
-            value += weight * system.inputs[flow, k, TORQUE] * inputs[TORQUE_RATE]
-            for j in range(x.size):
+            value += weight * system.inputs[flow, k, TORQUE] * at.inputs[TORQUE_RATE]
+            for j in range(at.x.size):
                 if system.rates[flow, k, j] != 0.0:
-                    value += weight * system.rates[flow, k, j] * _change(system, regime, j, x, inputs)[0]
+                    value += weight * system.rates[flow, k, j] * _change(at, regime, j)[0]
     return value
 
 
@@ -348,11 +317,12 @@ def _is_held(system: System, regime: int, functional: int) -> bool:
 
 
 @part
-def is_carried(system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray) -> bool:
+def is_carried(at: Moment, regime: int, lash: int) -> bool:
     """Whether the rigid flanks of an open lash rest on each other, and what sticks or is locked holds them there."""
-    half_gap, (twist, size) = inputs[gap_input(lash)], twist_of(system, system.lashes[lash], x)
+    system, half_gap = at.system, at.inputs[gap_input(lash)]
+    twist, size = twist_of(system, system.lashes[lash], at.x)
     rests = half_gap - abs(twist) <= _WITHIN * (half_gap + size)
-    rate, most = _rate(system, system.lashes[lash], 0.0, x)
+    rate, most = _rate(system, system.lashes[lash], 0.0, at.x)
     held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
     return bool(frictions_of(system) > 0 and held and rests and abs(rate) <= _WITHIN * most)
 

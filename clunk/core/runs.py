@@ -40,6 +40,16 @@ class Log(NamedTuple):
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
 
 
+class Moment(NamedTuple):
+    """A run at an event: what is known of it there, and may change."""
+
+    system: System
+    time: float  # s after the load step
+    x: FloatArray  # (N,)  [rad, rad/s]
+    inputs: FloatArray  # (I,)  d; the twists at which frictions begin to stick are written there
+    log: Log
+
+
 class Entry(NamedTuple):
     """Entry into the regime that follows an event."""
 
@@ -100,12 +110,10 @@ def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> N
 
 
 @inlined_part
-def record(
-    log: Log, k: int, time: float, speed: float, kind: int, regime: int, lash: int, side: int, x: FloatArray
-) -> None:
+def record(at: Moment, k: int, speed: float, kind: int, regime: int, lash: int, side: int) -> None:
     """Write event `k`, and the state at it; the extremes of the phase that it opens are still to come."""
-    event = log.events[k]
-    event.time = time
+    log, event = at.log, at.log.events[k]
+    event.time = at.time
     event.speed = speed
     event.kind = kind
     event.regime = regime
@@ -114,8 +122,8 @@ def record(
     for j in range(log.extremes.shape[1]):
         log.extremes[k, j, 0], log.extremes[k, j, 1] = -np.inf, np.inf
     if log.states.shape[0] > k:
-        for j in range(x.size):
-            log.states[k, j] = x[j]
+        for j in range(at.x.size):
+            log.states[k, j] = at.x[j]
 
 
 @part

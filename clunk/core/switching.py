@@ -10,8 +10,18 @@ from clunk.core import rigid, rubbing
 from clunk.core.events import LOAD_STEP, STAGE, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
-from clunk.core.regimes import System, frictions_of, gap_input, guard_of, inputs_of, lash_of, lashes_of, turn_back
-from clunk.core.runs import Entry, Log, Start, begin_wave, record, set_gaps, set_torque
+from clunk.core.regimes import (
+    System,
+    frictions_of,
+    gap_input,
+    guard_of,
+    inputs_of,
+    lash_of,
+    lashes_of,
+    speed_of,
+    turn_back,
+)
+from clunk.core.runs import Entry, Log, Moment, Start, begin_wave, record, set_gaps, set_torque
 from clunk.core.status import Status
 from clunk.core.tables import BEYOND, INPUTS, OPEN, TORQUE
 
@@ -133,83 +143,68 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
     rubbing.stick_all(system, start.x, inputs)
     begin_wave(system, load, piece, start.x)
     set_torque(system, load, piece, 0.0, inputs)
-    record(log, 0, 0.0, 0.0, LOAD_STEP, start.regime, -1, side, start.x)
+    record(Moment(system, 0.0, start.x, inputs, log), 0, 0.0, LOAD_STEP, start.regime, -1, side)
     return turn_back(system, start.x)
 
 
 @inlined_part
-def room_for_a_switch(system: System, inputs: FloatArray, log: Log, count: int) -> bool:
+def room_for_a_switch(at: Moment, count: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock.
 
     With these, each other lash may part where it is closed, or touch and lock where it is open.
     """
-    most = 1
+    system, most = at.system, 1
     if system.impulsive != 0:
         for lash in range(lashes_of(system)):
-            most = max(most, 2 if inputs[gap_input(lash)] > 0.0 else 3)
+            most = max(most, 2 if at.inputs[gap_input(lash)] > 0.0 else 3)
         most += 2 * (lashes_of(system) - 1)
     if frictions_of(system) > 0:  # one of them may begin to slip
         most += 1
-    return bool(count + most <= log.events.size)
+    return bool(count + most <= at.log.events.size)
 
 
 @inlined_part
-def switch(
-    system: System,
-    regime: int,
-    guard: int,
-    time: float,
-    x: FloatArray,
-    inputs: FloatArray,
-    log: Log,
-    count: int,
-    fastest: FloatArray,
-) -> Entry:
+def switch(at: Moment, regime: int, guard: int, count: int, fastest: FloatArray) -> Entry:
     """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
 
     Parameters
     ----------
-    x : (N,) float64  [rad, rad/s]
-        State at the event; reset in place.
-    inputs : (I,) float64
-        d; the twists at which frictions begin to stick are written there.
-    log : Log
-        Output, from `count` on.
+    count : int
+        Events written so far.
     fastest : (L,) float64  [rad/s]
         Touch of each lash so far; updated.
     """
-    row = system.guards[regime, guard]
+    system, row = at.system, at.system.guards[regime, guard]
     if row.event_kind == STAGE:
         entry = Entry(count, row.successor, row.zero_guard, row.zero_order)
         if row.successor < 0:
-            entry = rigid.enter_chosen(system, regime, guard, -1, time, x, inputs, log, count)
-        if log.states.shape[0] > 0 and entry.written == count:
-            record(log, count, time, 0.0, STAGE, entry.regime, -1, 0, x)
+            entry = rigid.enter_chosen(at, regime, guard, 0, count)
+        if at.log.states.shape[0] > 0 and entry.written == count:
+            record(at, count, 0.0, STAGE, entry.regime, -1, 0)
             return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
         return entry
-    lash, speed = lash_of(system, regime, guard), 0.0
-    for k in range(x.size):
-        speed += system.lashes[lash, k] * x[k]
+    lash = lash_of(system, regime, guard)
+    speed = speed_of(system, lash, at.x)
     if system.impulsive != 0:
         if row.event_kind == TOUCH:
-            return rigid.strike(system, regime, guard, time, speed, x, inputs, log, count, fastest)
-        return rigid.release(system, regime, guard, time, x, inputs, log, count)
-    record(log, count, time, speed, row.event_kind, row.successor, lash, row.side, x)
+            return rigid.strike(at, regime, guard, speed, count, fastest)
+        return rigid.release(at, regime, guard, count)
+    record(at, count, speed, row.event_kind, row.successor, lash, row.side)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
 
 
 @inlined_part
-def recheck_frictions(system: System, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log) -> Entry:
+def recheck_frictions(at: Moment, entry: Entry) -> Entry:
     """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped.
 
     State and inputs may change, and events be written, as at a switch.
     """
-    if frictions_of(system) == 0:
+    if frictions_of(at.system) == 0:
         return entry
-    settled = rigid.enter_chosen(system, entry.regime, -1, -1, time, x, inputs, log, entry.written)
+    settled = rigid.enter_chosen(at, entry.regime, -1, 0, entry.written)
     if entry.zero_guard < 0:
         return settled
-    before = system.guards[entry.regime, entry.zero_guard]
+    before = at.system.guards[entry.regime, entry.zero_guard]
     # its number is another one there: an open lash has more guards than a closed one
-    zero = guard_of(system, settled.regime, before.functional, before.sign)
+    zero = guard_of(at.system, settled.regime, before.functional, before.sign)
     return Entry(settled.written, settled.regime, zero, entry.zero_order)

@@ -47,7 +47,7 @@ from clunk.core.regimes import (
     take_rolling,
 )
 from clunk.core.rigid import holding_torque
-from clunk.core.runs import LEVEL, Entry, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
+from clunk.core.runs import LEVEL, Entry, Moment, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.switching import MOST_STAGES, begin_run, preload, recheck_frictions, room_for_a_switch, switch, weigh
 from clunk.core.tables import GAP, TORQUE, TORQUE_RATE
@@ -97,7 +97,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     space.numbers[slot, space.kink_at] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     if frictions_of(system) > 0:
         row.count = entry.written
-        entry = recheck_frictions(system, entry, time, x, inputs, log_of(space, slot))
+        entry = recheck_frictions(Moment(system, time, x, inputs, log_of(space, slot)), entry)
         regime = entry.regime
         if entry.written > row.count:
             _close_phase(space, slot)
@@ -202,7 +202,8 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     x, lashes = space.state[slot, : system.lashes.shape[1]], lashes_of(system)
     row.rolled += take_rolling(system, x)
-    if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log_of(space, slot), row.count):
+    at = Moment(system, time, x, inputs, log_of(space, slot))
+    if frictions_of(system) > 0 and not room_for_a_switch(at, row.count):
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
     numbers = space.numbers[slot, space.behind :]
@@ -211,7 +212,7 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     if system.impulsive != 0:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
         for lash in range(lashes):
-            space.held[lash, 0], space.held[lash, 1], _ = holding_torque(system, row.regime, lash, x, inputs)
+            space.held[lash, 0], space.held[lash, 1], _ = holding_torque(at, row.regime, lash)
     _enter(space, slot, time, x, entry)
     for lash in range(lashes if system.impulsive != 0 else 0):
         contact, own = system.contacts[row.regime, lash], space.numbers[slot, lash_at(space, lash) :]
@@ -219,7 +220,7 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
         if contact.closed == 0 or not scale > 0.0:
             continue
         torque, slope = space.held[lash, 0], space.held[lash, 1]
-        torque_after, slope_after, _ = holding_torque(system, row.regime, lash, x, inputs)
+        torque_after, slope_after, _ = holding_torque(at, row.regime, lash)
         jump, rounding = contact.side * (torque_after - torque), GRAZING * scale
         falls = contact.side * slope < 0.0 or jump < -rounding
         rises = contact.side * slope_after > 0.0 or jump > rounding
@@ -269,7 +270,8 @@ def _switch(space: Workspace, slot: int) -> None:
     if not np.isfinite(total):
         _end(space, slot, _NON_FINITE, time)
         return
-    if not room_for_a_switch(system, inputs, log, row.count) or row.stages > MOST_STAGES:
+    at = Moment(system, time, x, inputs, log)
+    if not room_for_a_switch(at, row.count) or row.stages > MOST_STAGES:
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
     if system.ramps != 0:
@@ -277,7 +279,7 @@ def _switch(space: Workspace, slot: int) -> None:
     _take_margin(space, slot, x, time)
     if elements_of(system) > 1 and time - log.events[row.count - 1].time < INSTANT:
         _forget_phase(space, slot)
-    entry = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, space.fastest[slot])
+    entry = switch(at, row.regime, row.guard, row.count, space.fastest[slot])
     if entry.written == row.count:  # a stage that is not written: the phase goes on
         row.stages += 1
     else:
@@ -345,7 +347,7 @@ def _set_static(space: Workspace, slot: int, start: Start) -> None:
     for lash in range(lashes_of(system)):
         side = system.contacts[regime, lash].side
         if system.impulsive != 0:
-            static = side * holding_torque(system, regime, lash, x, inputs)[0]
+            static = side * holding_torque(Moment(system, 0.0, x, inputs, log_of(space, slot)), regime, lash)[0]
         else:
             static = _overlap(system, lash, side, x, inputs)
         space.courses[slot, lash].static = max(static, 0.0) if status == _OK else 0.0

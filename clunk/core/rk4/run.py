@@ -23,6 +23,7 @@ from clunk.core.runs import (
     BEGIN,
     Entry,
     Log,
+    Moment,
     Outcome,
     Start,
     begin_wave,
@@ -86,7 +87,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
-        entry = recheck_frictions(system, entry, begin + index * grid.step + offset, x, inputs, log)
+        time = begin + index * grid.step + offset
+        entry = recheck_frictions(Moment(system, time, x, inputs, log), entry)
         roll_states(system, rolled, log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)
@@ -137,17 +139,19 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 break
         written = entry.written
         if guard < 0:  # another piece of the load
-            if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log, written):
+            at = Moment(system, begin, x, inputs, log)
+            if frictions_of(system) > 0 and not room_for_a_switch(at, written):
                 return Outcome(_EVENT_BUFFER_FULL, written, 0, begin)
             entry = Entry(written, entry.regime, -1, 0)
             continue
 
         time = begin + index * grid.step + offset
-        if not room_for_a_switch(system, inputs, log, written):
+        at = Moment(system, time, x, inputs, log)
+        if not room_for_a_switch(at, written):
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if elements_of(system) > 1 and time - log.events[written - 1].time < INSTANT:
             extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
-        entry = switch(system, entry.regime, guard, time, x, inputs, log, written, room.fastest)
+        entry = switch(at, entry.regime, guard, written, room.fastest)
         stages += entry.written == written
         if stages > MOST_STAGES:
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
