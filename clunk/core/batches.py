@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-IntArray = npt.NDArray[np.int64]
+from clunk.core.arrays import IntArray
 
 
 class UnlikeError(Exception):

@@ -8,14 +8,11 @@ series is as good over longer steps: there are steps of twice, four times, … t
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray, Positions
 from clunk.core.exponential import exponentials
 from clunk.core.regimes import Each, System
 from clunk.core.tables import TORQUE, TORQUE_RATE
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 TERMS = 20  # a multiple of four
 LEVELS = 4  # of steps, each twice as long as the one before: beyond, rounding in fast modes would spoil the series
@@ -36,9 +33,8 @@ class Channels(NamedTuple):
     swings: IntArray  # (C - OF_LASH L,)  whether a measure is peak-to-peak, and not the largest magnitude
     contact_stiffness: FloatArray  # (D, L)  N m/rad
     contact_damping: FloatArray  # (D, L)  N m s/rad
-    passed: FloatArray  # (D, H, L, L)  as of `System`  [kg m2]
 
-    def at(self, drivelines: npt.NDArray[np.intp] | list[int]) -> "Channels":
+    def at(self, drivelines: Positions | list[int]) -> "Channels":
         """Those of some drivelines."""
         common = "of_impacts", "swings"
         return self._replace(**{name: getattr(self, name)[drivelines] for name in self._fields if name not in common})

@@ -4,9 +4,8 @@ Numbers of drivelines have their usual shape for one, and an axis more in front 
 """
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from clunk.core.arrays import FloatArray
 
 _ROUNDING = 1e-11  # of a torque: a load that does not reach the lash, or a gap that does not load it, leaves as much
 

@@ -1,9 +1,8 @@
 """Matrix exponentials by numpy alone, of many matrices at once."""
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from clunk.core.arrays import FloatArray
 
 _TERMS = 20  # of the power series, up to a norm of 1/2: the next one is 4e-25
 

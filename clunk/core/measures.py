@@ -16,8 +16,8 @@ presses on one flank only, and
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray, Records
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
@@ -30,15 +30,11 @@ from clunk.core.status import Status
 from clunk.core.switching import set_weighed
 from clunk.core.tile import Batch, Cases, Output
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
 _OK = int(Status.OK)
 _SMOOTH = 1e-10  # of the terms of a series: the last one over a step of which the series tells all
 _PLACES = 16  # of a step, between which the slope of a channel is asked for its sign: some 0.09 of 1/rate apart
 _HALVINGS = 30  # of an interval with a turn: to 1e-9 of it, the value there to the square of that
-NODES = 12  # of Gauss and Legendre: exact up to degree 23, and to rounding for the square of a series over a step
-_FROM_MIDDLE, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
+_FROM_MIDDLE, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # exact up to degree 23, and to rounding for the square
 _NODES = 0.5 + 0.5 * _FROM_MIDDLE  # of the interval
 
 IMPULSE, PEAK_TORQUE, ENERGY = range(3)  # of an impact, and the roots of their summed squares of a run
@@ -173,10 +169,10 @@ def _add_event(
     system: System,
     channels: Channels,
     driveline: int,
-    events: npt.NDArray[np.void],
+    events: Records,
     states: FloatArray,
     e: int,
-    impacts: npt.NDArray[np.void],
+    impacts: Records,
     room: Room,
 ) -> None:
     """Begin the values of an impact where event e is that, and add what events pass on or take at once.
@@ -203,7 +199,7 @@ def _add_event(
             for k in range(begin, e + 1):
                 struck, before = events[k].lash, events[k].speed
                 after = speed_of(system, struck, x[: system.lashes.shape[1]])
-                impulse += channels.passed[driveline, together & ~(1 << struck), struck, other] * (before - after)
+                impulse += system.passed[together & ~(1 << struck), struck, other] * (before - after)
                 speeds += (before + after) * (struck == other)
             room.of_impacts[row[other], IMPULSE] += abs(impulse)
             room.of_impacts[row[other], ENERGY] += 0.5 * impulse * speeds
@@ -217,7 +213,7 @@ def _add_event(
 
 
 @inlined_part
-def _are_one_impact(events: npt.NDArray[np.void], states: FloatArray, e: int) -> bool:
+def _are_one_impact(events: Records, states: FloatArray, e: int) -> bool:
     """Whether event e and the one behind it are touches with one state."""
     same = events[e].kind == TOUCH and events[e + 1].kind == TOUCH
     for j in range(states.shape[1]):
@@ -246,9 +242,9 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
             if not _bears(system, regime, lash, room):
                 continue
             values = room.of_impacts[room.row[lash]]
-            damped = length * _integral_of_square(room.series[OF_LASH * lash + CLOSING], share)
+            damped = length * _integral(room.series[OF_LASH * lash + CLOSING], share, 2)
             values[ENERGY] += channels.contact_damping[driveline, lash] * damped
-            values[IMPULSE] += contact.side * length * _integral(room.series[torque], share)
+            values[IMPULSE] += contact.side * length * _integral(room.series[torque], share, 1)
             room.low[torque], room.high[torque] = _widened(
                 room.series[torque], share, room.low[torque], room.high[torque]
             )
@@ -338,20 +334,11 @@ def _slope_at(series: FloatArray, at: float) -> float:
 
 
 @part
-def _integral(series: FloatArray, length: float) -> float:
-    """Integral of a polynomial from 0 to `length`."""
+def _integral(series: FloatArray, length: float, power: int) -> float:
+    """Integral of a polynomial, or of its square as `power` tells, from 0 to `length`."""
     total = 0.0
-    for k in range(series.size - 1, -1, -1):
-        total = (total + series[k] / (k + 1)) * length
-    return total
-
-
-@part
-def _integral_of_square(series: FloatArray, length: float) -> float:
-    """Integral of a polynomial's square from 0 to `length`."""
-    total = 0.0
-    for n in range(NODES):
-        total += _WEIGHTS[n] * _value_at(series, length * _NODES[n]) ** 2
+    for n in range(_NODES.size):
+        total += _WEIGHTS[n] * _value_at(series, length * _NODES[n]) ** power
     return 0.5 * length * total
 
 

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray
 from clunk.core.batches import alike
 from clunk.core.tables import INPUTS, TORQUE
-
-FloatArray = npt.NDArray[np.float64]
 
 _FITS = 1e-9  # a rate across a lash, relative to those of its ends, that is rounding
 
@@ -115,15 +113,9 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
         one[..., pivot, :] = -row / row[..., pivot, None]
         basis = basis @ np.delete(one, pivot, axis=-1)
         pick = np.delete(pick, pivot, axis=0)
-    return Reduction(_for_both(basis), _for_both(pick), shift)
-
-
-def _for_both(matrix: FloatArray) -> FloatArray:
-    """A matrix twice, on the diagonal: what it is to angles it is to speeds."""
-    rows, columns = matrix.shape[-2:]
-    both = np.zeros((*matrix.shape[:-2], 2 * rows, 2 * columns))
-    both[..., :rows, :columns] = both[..., rows:, columns:] = matrix
-    return both
+    # for the angles, and for the speeds
+    expand, pick = (np.asarray(np.kron(np.eye(2), matrix), np.float64) for matrix in (basis, pick))
+    return Reduction(expand, pick, shift)
 
 
 def without_drift(reduction: Reduction, drift: FloatArray) -> Reduction:

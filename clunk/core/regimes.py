@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray, Records
 from clunk.core.batches import alike
 from clunk.core.equilibrium import preload
 from clunk.core.jit import inlined_part, part
@@ -43,9 +43,6 @@ from clunk.core.tables import (
     stages_of,
 )
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
 LOCKING_SHARE = 1e-4  # of the run's fastest touch: chatter has then lost all but 1e-8 of its energy
 ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 _SINGULAR = 1e-12  # of the largest eigenvalue: a smaller one is rounding
@@ -68,9 +65,9 @@ class System(NamedTuple):
     inertias: int  # n
     ramps: int  # whether the torque's rate of change is an input: exact, loads with ramps; rk4 has them in the wave
     # the regimes
-    regimes: npt.NDArray[np.void]  # (R,) REGIME
-    contacts: npt.NDArray[np.void]  # (R, L) CONTACT
-    guards: npt.NDArray[np.void]  # (R, G) GUARD
+    regimes: Records  # (R,) REGIME
+    contacts: Records  # (R, L) CONTACT
+    guards: Records  # (R, G) GUARD
     offsets: FloatArray  # (R, G, I)  of each guard
     weights: FloatArray  # (R, I)  u = weights · d
     leaders: IntArray  # (U,)  the first regime of each group
@@ -455,7 +452,8 @@ def _impacts(inertia: FloatArray, twists: FloatArray, sets: int) -> tuple[FloatA
         for lash in set(range(count)) - set(bits):
             tied = twists[..., [lash, *bits], :]
             across = tied / inertia[..., None, :]
-            impulses = np.linalg.solve(across @ np.swapaxes(tied, -1, -2), np.eye(1 + len(bits))[0])
+            mobility = np.sum(across[..., None, :] * tied[..., None, :, :], axis=-1)
+            impulses = np.linalg.solve(mobility, np.eye(1 + len(bits))[0])
             change[..., held, lash, :] = np.einsum("...k,...kn->...n", impulses, across)
             passed[..., held, lash, [lash, *bits]] = impulses
     return change, passed

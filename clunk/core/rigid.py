@@ -7,9 +7,9 @@ other without a torque, where others hold them: they are open, but have not sepa
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core import rubbing
+from clunk.core.arrays import FloatArray, Records
 from clunk.core.events import INSTANT, LOCK, SEPARATION, STAGE, TOUCH
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
@@ -25,8 +25,6 @@ from clunk.core.regimes import (
 )
 from clunk.core.runs import Entry, Moment, record
 from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
-
-FloatArray = npt.NDArray[np.float64]
 
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
@@ -107,7 +105,7 @@ def _note_touches_beside(at: Moment, regime: int, lash: int, rebounds: bool, cou
 
 
 @part
-def _strike_together(system: System, held: int, rebounds: bool, x: FloatArray, touches: npt.NDArray[np.void]) -> None:
+def _strike_together(system: System, held: int, rebounds: bool, x: FloatArray, touches: Records) -> None:
     """Give lashes that touch at one time the speeds that they shall have: θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l), Eq. 2.9.
 
     M has what holds as rigid joints, and e is 0 without rebound. One impulse after the other brings its lash to its

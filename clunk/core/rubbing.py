@@ -17,8 +17,8 @@ An impact is over before a friction's torque makes an impulse: what it sets in m
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray
 from clunk.core.jit import part
 from clunk.core.regimes import (
     System,
@@ -34,8 +34,6 @@ from clunk.core.regimes import (
 )
 from clunk.core.runs import Moment
 from clunk.core.tables import ABOVE, FORCE, HOLDING, SLIPS_BACKWARD, SLIPS_FORWARD, STICKS, TORQUE, TORQUE_RATE
-
-FloatArray = npt.NDArray[np.float64]
 
 _WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding

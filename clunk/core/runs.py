@@ -3,14 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, Records
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, gap_input, lashes_of, roll
 from clunk.core.tables import TORQUE, TORQUE_RATE
-
-FloatArray = npt.NDArray[np.float64]
-
 
 # Columns of a load's pieces: from BEGIN [s after the load step] until the next piece begins, the torque is
 # T = LEVEL + SLOPE (t - BEGIN) + w1(t), where w' = S w from w(BEGIN) = (WAVE, WAVE_PARTNER); the last goes on for ever,
@@ -32,7 +29,7 @@ class Start(NamedTuple):
 class Log(NamedTuple):
     """Buffers for a run's events, of which event 0 is the load step, and for what goes with each; L lashes."""
 
-    events: npt.NDArray[np.void]  # (capacity,) EVENT
+    events: Records  # (capacity,) EVENT
     # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]; by the exact method of
     # all of its window so far, and nothing that is finite before the first primary impact
     extremes: FloatArray

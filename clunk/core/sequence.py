@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from itertools import groupby
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import IntArray, Records
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.core.jit import compiled
 
@@ -21,12 +21,12 @@ OPPOSITE = 1
 
 @compiled
 def find_primaries(
-    events: npt.NDArray[np.void],
+    events: Records,
     count: int,
     lash: int,
     initial_side: int,
     sticking_time: float,
-    primaries: npt.NDArray[np.int64],
+    primaries: IntArray,
 ) -> int:
     """Write the indices of a lash's primary impacts among `events[:count]` to `primaries`; return how many there are.
 

@@ -4,13 +4,13 @@ Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3; V 
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray
 from clunk.core.jit import compiled, part
 
 
 @compiled
-def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
+def root_of_squares(values: FloatArray, count: int) -> float:
     """The square root of the sum of the squares of `values[:count]`, summed in order."""
     total = 0.0
     for i in range(count):
@@ -19,7 +19,7 @@ def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
 
 
 @part
-def window_extremes(extremes: npt.NDArray[np.float64], begin: int, end: int) -> tuple[float, float]:
+def window_extremes(extremes: FloatArray, begin: int, end: int) -> tuple[float, float]:
     """The largest and the smallest acceleration over the phases behind the events from one to before another  [rad/s2].
 
     The window of a primary impact runs from its touch, right limit included, up to the next primary or the end of the

@@ -4,9 +4,9 @@ Detection is not here: whoever flows through a regime says which guard turned ne
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core import rigid, rubbing
+from clunk.core.arrays import FloatArray
 from clunk.core.events import LOAD_STEP, STAGE, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
@@ -25,8 +25,6 @@ from clunk.core.runs import Entry, Log, Moment, Start, begin_wave, record, set_g
 from clunk.core.status import Status
 from clunk.core.tables import BEYOND, INPUTS, OPEN, TORQUE
 
-FloatArray = npt.NDArray[np.float64]
-
 _OK = int(Status.OK)
 _NO_EQUILIBRIUM = int(Status.NO_EQUILIBRIUM)
 _NO_INITIAL_FLANK = int(Status.NO_INITIAL_FLANK)
@@ -35,10 +33,10 @@ MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what ha
 
 
 @inlined_part
-def weigh(weights: FloatArray, inputs: FloatArray, count: int) -> float:
-    """The sum of `count` weights times inputs."""
+def weigh(weights: FloatArray, inputs: FloatArray) -> float:
+    """The sum of the weights times inputs."""
     total = weights[0] * inputs[0]
-    for k in range(1, count):
+    for k in range(1, weights.size):
         total += weights[k] * inputs[k]
     return float(total)
 

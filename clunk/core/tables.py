@@ -34,13 +34,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray, Records
 from clunk.core.batches import alike
 from clunk.core.events import OPENING, REJOIN, SEPARATION, STAGE, TOUCH
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 Number = float | FloatArray  # of a driveline, or of each in a batch, (D,)
 
@@ -311,9 +308,9 @@ class Tables(NamedTuple):
     In a batch of drivelines that differ in them, offsets and weights have an axis more in front.
     """
 
-    regimes: npt.NDArray[np.void]
-    contacts: npt.NDArray[np.void]
-    guards: npt.NDArray[np.void]
+    regimes: Records
+    contacts: Records
+    guards: Records
     offsets: FloatArray
     weights: FloatArray
     leaders: IntArray

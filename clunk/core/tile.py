@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core import switching
+from clunk.core.arrays import FloatArray, IntArray, Positions, Records, StopFlag
 from clunk.core.channels import Channels
 from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
@@ -31,9 +31,6 @@ from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import window_extremes
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
 from clunk.core.tables import INPUTS, TORQUE, half_gap_of
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _OK = int(Status.OK)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
@@ -80,7 +77,7 @@ class Cases(NamedTuple):
     states: FloatArray = np.zeros((0, 0))  # (cells or 0, N)  at the load step  [rad, rad/s]
     regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  in which it is
 
-    def at(self, index: npt.NDArray[np.intp] | slice) -> "Cases":
+    def at(self, index: Positions | slice) -> "Cases":
         """The cells at these positions, which begin in steady motion, whatever states these have."""
         loads = self.loads if len(self.loads) == 1 else self.loads[index]
         drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
@@ -94,9 +91,9 @@ class Output(NamedTuple):
     of its lashes.
     """
 
-    cells: npt.NDArray[np.void]  # (cells, L) CELL, zeros
-    impacts: npt.NDArray[np.void]  # (capacity,) IMPACT
-    logs: npt.NDArray[np.void]  # (cells, capacity) EVENT, behind a run's events as it was; or (0, 0)
+    cells: Records  # (cells, L) CELL, zeros
+    impacts: Records  # (capacity,) IMPACT
+    logs: Records  # (cells, capacity) EVENT, behind a run's events as it was; or (0, 0)
     states: FloatArray  # (cells, capacity, N)  [rad, rad/s]  at these, changes of stage among them; or (0, 0, 0)
     extremes: FloatArray = np.zeros((0, 0, 0, 2))  # (cells or 0, capacity, L, 2)  see `runs.Log`
     ends: FloatArray = np.zeros(0)  # (cells or 0,)  s after the load step
@@ -129,7 +126,7 @@ class Batch(NamedTuple):
     tables: Steps | Flows  # of one driveline; or with an axis of D in front
     channels: Channels | None = None  # what is measured, if anything is
 
-    def at(self, drivelines: npt.NDArray[np.intp] | list[int]) -> "Batch":
+    def at(self, drivelines: Positions | list[int]) -> "Batch":
         """The batch of some of the drivelines."""
         each, tables, channels = Each._make(array[drivelines] for array in self.each), self.tables, self.channels
         if isinstance(tables, Flows):
@@ -152,7 +149,7 @@ def run_tile(
     first: int,
     max_events: int,
     output: Output,
-    stop: npt.NDArray[np.uint8],
+    stop: StopFlag,
 ) -> tuple[int, int]:
     """Run the cells from `first` on, until all are done, `impacts` may not hold the next one's, or `stop` is set.
 
@@ -205,7 +202,7 @@ def by_rk4(
     log: Log,
     room: Room,
     scratch: _Scratch,
-    stop: npt.NDArray[np.uint8],
+    stop: StopFlag,
 ) -> tuple[int, int]:
     """`run_tile` by RK4: one run after the other."""
     system, steps, cases, output = refer(system), refer(steps), refer(cases), refer(output)
@@ -237,7 +234,7 @@ def by_exact(
     scratch: _Scratch,
     free: IntArray,
     begins: IntArray,
-    stop: npt.NDArray[np.uint8],
+    stop: StopFlag,
 ) -> int:
     """`run_tile` by the exact method: many runs at a time, over in any order. Returns the first cell that was not run.
 
@@ -309,7 +306,7 @@ def _copy_log(log: Log, written: int, end: float, output: Output, k: int) -> Non
 
 
 @part
-def _begin(system: System, cases: Cases, k: int, cells: npt.NDArray[np.void], x: FloatArray) -> int:
+def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) -> int:
     """Set cell k's state at the load step, and its status, which tells whether it can be run; return the regime."""
     status, regime = system.status, 0
     if cases.regimes.size > 0:
@@ -337,9 +334,9 @@ def _describe(
     outcome: Outcome,
     log: Log,
     max_events: int,
-    cells: npt.NDArray[np.void],
+    cells: Records,
     scratch: _Scratch,
-    impacts: npt.NDArray[np.void],
+    impacts: Records,
     first: int,
 ) -> int:
     """Write the results of a run to its cell, and its primary impacts from `first` on; return how many they are.

@@ -68,7 +68,6 @@ def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Ch
         swings=np.array([measure.reduce == "peak-to-peak" for measure in study.measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
         contact_damping=pressed * np.atleast_2d(line.contact_dampings),
-        passed=each.passed,
     )
 
 

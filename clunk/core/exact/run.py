@@ -120,7 +120,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own[rows.SCALE] = scale
         course.window_max, course.window_min = own[rows.WINDOW_MAX], own[rows.WINDOW_MIN]
     for n in range(entered.watched):
-        shift = weigh(system.offsets[regime, n], inputs, inputs_of(system))
+        shift = weigh(system.offsets[regime, n], inputs)
         numbers[rows.shift(n, lashes_of(system))] = shift
     push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
 

@@ -3,15 +3,12 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import ComplexArray, FloatArray, IntArray
 from clunk.core.reductions import constrained, with_wave, without_drift
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.core.tables import ACCELERATION, held_inputs
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # On a step of length h, |p(s)| exceeds its larger end value by at most max|p''| h²/8 <= |c2|/4 + 3|c3|/4 + 3|c4|/2
 # in the step's Taylor terms c_k = p_k h^k; these factors make that a plain sum.
@@ -36,7 +33,7 @@ class Steps(NamedTuple):
     observe_input: FloatArray  # (K, I, outputs)
     # a bound on all that can follow: amplitudes of decaying modes
     provable: IntArray  # (K,)  whether the flow's modes give such a bound
-    mode_rows: npt.NDArray[np.complex128]  # (K, N, N)  left eigenvectors, one of each pair
+    mode_rows: ComplexArray  # (K, N, N)  left eigenvectors, one of each pair
     mode_reach: FloatArray  # (K, F, N)  largest change of a functional per unit amplitude of a mode
     rest_state: FloatArray  # (K, N, I)  steady motion per unit of the inputs, without its drift
     rest_functional: FloatArray  # (K, F, I)
@@ -51,7 +48,7 @@ def build_steps(system: System, step: float) -> tuple[System, Steps]:
     return system, Steps(step, *propagator, *bound)
 
 
-def rk4_growth(eigenvalues: npt.NDArray[np.complex128], step: float | FloatArray) -> FloatArray:
+def rk4_growth(eigenvalues: ComplexArray, step: float | FloatArray) -> FloatArray:
     """|R(h λ)| with RK4's stability polynomial R(z) = 1 + z + z²/2 + z³/6 + z⁴/24."""
     z = eigenvalues * step
     return np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))

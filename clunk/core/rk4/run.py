@@ -10,8 +10,8 @@ Where another piece of the load begins, a step is cut short, and the grid begins
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, StopFlag
 from clunk.core.events import INSTANT
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, elements_of, frictions_of, lashes_of, turn_back
@@ -35,8 +35,6 @@ from clunk.core.runs import (
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import MOST_STAGES, begin_run, recheck_frictions, room_for_a_switch, switch
 from clunk.core.tables import ACCELERATION
-
-FloatArray = npt.NDArray[np.float64]
 
 _OK = int(Status.OK)
 _NON_FINITE = int(Status.NON_FINITE)
@@ -64,7 +62,7 @@ def _unknown(value: int) -> int:
 
 
 @part
-def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: npt.NDArray[np.uint8]) -> Outcome:
+def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: StopFlag) -> Outcome:
     """Run from the load step to the end time, or until it is proved that nothing can follow.
 
     Parameters

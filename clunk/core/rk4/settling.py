@@ -1,8 +1,8 @@
 """Whether a run is over: no event can follow, and no acceleration that would count."""
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray
 from clunk.core.jit import part
 from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4.propagator import Steps
@@ -12,8 +12,6 @@ from clunk.core.sequence import find_primaries
 from clunk.core.severity import window_extremes
 from clunk.core.switching import weigh
 from clunk.core.tables import ACCELERATION
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @part
@@ -39,7 +37,7 @@ def settled(
     _reach(steps, flow, room, x, reach)
     for guard in range(system.regimes[regime].guards):
         functional = system.guards[regime, guard].functional
-        at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed, room.weighed.size)
+        at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed)
         if not at_rest + room.shift[guard] > (1.0 + 1e-9) * reach[functional]:
             return False
     if system.impulsive != 0:  # nothing is asked of the acceleration
@@ -50,7 +48,7 @@ def settled(
         if impacts > 0:  # else nothing is asked of the acceleration either
             largest, smallest = window_extremes(log.extremes[:, lash], primaries[impacts - 1], count)
             acceleration = lash * system.functionals_per_lash + ACCELERATION
-            at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed, room.weighed.size)
+            at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed)
             swing = (1.0 + 1e-9) * reach[acceleration]
             if not (largest >= at_rest + swing and smallest <= at_rest - swing):
                 return False

@@ -6,17 +6,15 @@ The step is expanded into its Taylor polynomial of degree 4 in time. Guards and 
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.events import INSTANT
 from clunk.core.jit import part
-from clunk.core.regimes import ROUNDING, System, elements_of, inputs_of, lashes_of
+from clunk.core.regimes import ROUNDING, System, elements_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import set_weighed, weigh
 from clunk.core.tables import ACCELERATION
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Room(NamedTuple):
@@ -26,7 +24,7 @@ class Room(NamedTuple):
     fastest: FloatArray  # (L,)  rad/s, of the touches of each lash so far
     # the phase: what its regime makes of the inputs and the guards, and a step's expansion
     weighed: FloatArray  # (I,)  u of the regime
-    at: npt.NDArray[np.int64]  # (G,)  where a guard's functional is among the outputs, value and terms 2, 3, 4 of each
+    at: IntArray  # (G,)  where a guard's functional is among the outputs, value and terms 2, 3, 4 of each
     sign: FloatArray  # (G,)
     shift: FloatArray  # (G,)
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
@@ -37,7 +35,7 @@ class Room(NamedTuple):
     after: FloatArray  # the same after a step or a block
     # scratch of `settling`
     reach: FloatArray  # (F,)
-    primaries: npt.NDArray[np.int64]  # (capacity,)
+    primaries: IntArray  # (capacity,)
 
 
 def make_room(system: System, steps: Steps, capacity: int) -> Room:
@@ -68,7 +66,7 @@ def enter(room: Room, system: System, regime: int) -> None:
     for g in range(system.regimes[regime].guards):
         row = system.guards[regime, g]
         room.at[g], room.sign[g] = 4 * row.functional, row.sign
-        room.shift[g] = weigh(system.offsets[regime, g], room.inputs, inputs_of(system))
+        room.shift[g] = weigh(system.offsets[regime, g], room.inputs)
 
 
 @part
@@ -83,7 +81,7 @@ def expand(system: System, flow: int, x: FloatArray, room: Room) -> None:
             for k in range(size):
                 value += system.rates[flow, row, k] * taylor[order - 1, k]
             if order == 1:
-                value += weigh(system.inputs[flow, row], room.weighed, inputs_of(system))
+                value += weigh(system.inputs[flow, row], room.weighed)
             taylor[order, row] = value / order
 
 
@@ -138,7 +136,7 @@ def finish(room: Room, s: float, x: FloatArray) -> bool:
 @part
 def _quartic(system: System, flow: int, which: int, room: Room) -> tuple[quartic.Quartic, float, float]:
     """A functional over the step: its quartic, and the terms that make the first two of its coefficients in size."""
-    driven, taylor = weigh(system.feedthrough[flow, which], room.weighed, inputs_of(system)), room.taylor
+    driven, taylor = weigh(system.feedthrough[flow, which], room.weighed), room.taylor
     c0, c1, c2, c3, c4, scale, of_rate = driven, 0.0, 0.0, 0.0, 0.0, abs(driven), 0.0
     for k in range(taylor.shape[1]):
         weight = system.functionals[flow, which, k]

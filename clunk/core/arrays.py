@@ -1,0 +1,11 @@
+"""Types of arrays, by what they hold."""
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+IntArray = npt.NDArray[np.int64]
+Positions = npt.NDArray[np.intp]  # in another array
+Records = npt.NDArray[np.void]
+StopFlag = npt.NDArray[np.uint8]  # (1,)  set to non-zero from another thread to abandon runs
