@@ -185,11 +185,3 @@ def test_breakpoints_that_cross_are_refused_though_each_value_is_sound():
     crossed = np.array([[low, high], [high + 1.0, high], [high + 1.0, high + 2.0]])
     with pytest.raises(clunk.ConfigError, match="breakpoint"):
         list(batches.prepare_many(study, keys, crossed))
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, 1e31])
-def test_a_value_that_is_not_allowed_is_refused_with_its_point(value):
-    study = reference.study_of(Plant())
-    with pytest.raises(clunk.ConfigError, match="point 2: found") as refused:
-        list(batches.prepare_many(study, ["driveline.inertias[3]"], np.array([[0.002], [value], [0.003]])))
-    assert [problem.key for problem in refused.value.problems] == ["driveline.inertias[3]"]

@@ -177,25 +177,19 @@ def test_thresholds_of_random_chains_are_where_the_locked_model_gains_an_impact(
     checked = 0
     for _ in range(12):
         n = int(rng.integers(2, 6))
-        open_shaft = int(rng.integers(1, n))
-        ends = [(k, k + 1) for k in range(1, n)] + [(n, "ground")]
-        shafts = ", ".join(
-            f"{{between = {list(pair)!r}, stiffness = {10 ** rng.uniform(0.5, 2.5):.4g}, "
-            f"damping = {10 ** rng.uniform(-2.5, -1):.4g}}}"
-            for pair in ends
-            if pair != (open_shaft, open_shaft + 1)
+        lash = int(rng.integers(1, n))
+        ends = [(k, k + 1) for k in range(1, n) if k != lash] + [(n, "ground")]
+        shafts = [(*pair, 10 ** rng.uniform(0.5, 2.5), 10 ** rng.uniform(-2.5, -1.0)) for pair in ends]
+        inertias = tuple(10 ** rng.uniform(-3, -1, n))
+        chain = reference.Plant(
+            inertias, shafts, (lash, lash + 1), backlash=0.0, acceleration_of=1, restitution=0.5, after=-1.0
         )
-        study = study_from_text(
-            f"[driveline]\ninertias = {(10 ** rng.uniform(-3, -1, n)).tolist()}\nshafts = [{shafts}]\n"
-            f"[lash]\nbetween = [{open_shaft}, {open_shaft + 1}]\nbacklash_deg = 0.0\nradius = 1.0\n"
-            'contact = {model = "restitution", stiffness = 1.0, damping = 0.0}\n'
-            "[load]\non = 1\nstatic_torque = -1.0\nratio = 5.0\n[solver]\nstep = 2e-4\nend_time = 20.0\n"
-        )
+        study = reference.study_of(chain, "rk4", 2e-4, 20.0)
         thresholds = rigid_contact_thresholds(study, 4)
         thresholds = thresholds[thresholds < 50.0]
         for k, (low, high) in enumerate(pairwise(thresholds), start=1):
             if high / low > 1.002:  # halfway between two that are apart
-                run = simulate(replace_values(study, {"load.ratio": float(np.sqrt(low * high))}))
+                run = simulate(replace_values(study, {"load.initial_torque": -1.0 - float(np.sqrt(low * high))}))
                 assert run.label == f"DS({k})"
                 checked += 1
     assert checked >= 20

@@ -14,7 +14,6 @@ from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
-from clunk.study.errors import ClunkError
 from clunk.study.records import plain, text_of
 from clunk.study.study import replace_values
 from clunk.sweeping.sweep import cell_count, sweep
@@ -107,15 +106,6 @@ class TestSlices:
             assert own.values.tolist() == [whole.values[3]]
         assert np.array_equal(part.sequence[:, :, 0], mixed.sequence[:, :, 3])
 
-    def test_what_is_no_axis_or_no_number_is_refused(self, four, zipped):
-        with pytest.raises(ValueError, match=r"'load\.ration' is no axis .* load\.ratio, lash"):
-            four.at({"load.ration": 1.0})
-        with pytest.raises(ValueError, match="axes are run"):
-            zipped.at({"load.ratio": 1.0})
-        for beyond in (np.nan, -0.1, 10.1):
-            with pytest.raises(ValueError, match=r"load\.ratio is swept from 0 to 10"):
-                four.at({"load.ratio": beyond})
-
 
 class TestFiles:
     @pytest.mark.parametrize("name", ["zipped", "sampled", "mixed", "four"])
@@ -143,13 +133,6 @@ class TestComparison:
         lines = text_of(found).splitlines()
         assert max(map(len, lines)) <= 80
         assert any("load.ratio = " in line for line in lines)
-
-    def test_other_draws_cannot_be_compared(self, sampled, zipped):
-        other = sweep(study_from_text(SAMPLE, "x", ["sweep.sampling.seed=4"]))
-        with pytest.raises(ClunkError, match=r"compared: value 1 of lash\.contact\.stiffness is"):
-            compare(sampled, other)
-        with pytest.raises(ClunkError, match=r"they sweep .* \(32 values\), .* in B"):
-            compare(sampled, zipped)
 
 
 SHAFTS = """

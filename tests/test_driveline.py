@@ -7,7 +7,6 @@ from helpers import reference
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import simulate
-from clunk.study.study import replace_values
 
 
 def test_the_matrices_are_those_of_equation_2_6(nominal):
@@ -48,18 +47,6 @@ def test_the_open_chain_can_drift(nominal):
     assert modes.overdamped[1] > 1.0
 
 
-def test_modes_with_every_damper_taken_out_have_no_damping(nominal):
-    undamped = {f"driveline.shafts[{k}].damping": 0.0 for k in range(1, 5)} | {"lash.contact.damping": 0.0}
-    driveline = Driveline.from_study(replace_values(nominal, undamped))
-    modes = driveline.modes(closed=True)
-    assert modes.damping_ratio == pytest.approx(np.zeros(4), abs=1e-12)
-    closed = driveline.matrices(closed=False)[1] + driveline.contact_stiffnesses[0] * np.outer(
-        driveline.lashes[0], driveline.lashes[0]
-    )
-    squares = np.sort(np.linalg.eigvals(closed / driveline.inertia[:, None]).real)
-    assert modes.frequency == pytest.approx(np.sqrt(squares) / (2.0 * np.pi), rel=1e-9)
-
-
 def test_the_thresholds_are_those_of_table_3_1(nominal):
     """1.46, 3.13, 6.69 and 14.32 in the report; with the first mode's damping ratio, one more digit each."""
     assert one_mode_thresholds(nominal) == pytest.approx([1.463, 3.129, 6.693, 14.317], abs=6e-4)
@@ -84,11 +71,6 @@ def single(between=(1, "ground")):
 
 
 class TestLashToGround:
-    def test_its_contact_period_is_that_of_the_one_inertia(self):
-        assert Driveline.from_study(single()).contact_periods[0] == pytest.approx(
-            2 * np.pi * np.sqrt(0.002 / 1e3), rel=1e-12
-        )
-
     @pytest.mark.parametrize(("between", "sign"), [((1, "ground"), 1), (("ground", 1), -1)])
     def test_the_order_of_its_ends_is_the_sign_of_q(self, between, sign):
         """The same motion; only which side of the gap is called positive differs."""

@@ -153,16 +153,6 @@ def test_the_margin_vanishes_at_both_borders_of_a_thin_region(ratio, begin, insi
     assert len(labels) == 2
 
 
-def test_an_edge_is_undecided_whatever_the_damping_of_the_contact():
-    """By force: the label hangs on whether the parted flanks open. The default margin tolerance is 1e-4."""
-
-    def plant_at(ratio):
-        return reference.boere(ratio, 6.0, separation="force", contact_damping=5.0)
-
-    for end in edge_of(plant_at, 1.2, 2.5):
-        assert abs(exact(plant_at(end)).margin) < 1e-4
-
-
 class TestPhasesOfSpecialKinds:
     def test_a_drift_is_not_taken_for_ringing(self):
         """A free undamped motor, thrown slowly at an overdamped load at rest, reaches it when the gap is used up."""

@@ -53,10 +53,3 @@ class TestGrazing:
         _, speeds = first_impacts(method, at, backlash)
         exponent, _ = np.polyfit(np.log(excess), np.log(speeds), 1)
         assert exponent == pytest.approx(0.50, abs=0.02)
-
-    def test_the_label_flips_exactly_once(self, method, backlash):
-        at = threshold(method, backlash) * (1.0 + np.linspace(-1e-9, 1e-9, 100))
-        crosses = first_impacts(method, at, backlash)[0] == OPPOSITE
-        assert not crosses[0]
-        assert crosses[-1]
-        assert np.count_nonzero(np.diff(crosses)) == 1

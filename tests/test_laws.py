@@ -98,13 +98,3 @@ def test_the_motion_dies_out_in_static_contact_under_the_torque_after_the_step(n
     history = sample(simulate(nominal), step=0.1, until=12.1)
     assert history.angle[-1] == pytest.approx(rest[:4], abs=1e-11)
     assert history.velocity[-1] == pytest.approx(0.0, abs=1e-11)
-
-
-class TestStickingTime:
-    def test_it_decides_what_is_primary(self, nominal):
-        """Far below a rebound it makes every touch primary; beyond the run, none on the same flank."""
-        every = simulate(at(nominal, 5.0, 6.0, **{"impacts.sticking_time": 1e-9}))
-        assert len(every.primaries) == every.touches == 9
-        none = simulate(at(nominal, 5.0, 6.0, **{"impacts.sticking_time": 10.0}))
-        assert none.label == "DS(1)"
-        assert np.array_equal(none.events["time"], every.events["time"])

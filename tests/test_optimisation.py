@@ -22,22 +22,15 @@ ROOT = Path(__file__).parent.parent
 RELEASE = ROOT / "configs/shaped_release.toml"
 DAMPED_RAMP = """
 driveline.preset = "boere-2008"
-load.profile = "ramp"
-load.duration = 0.1
-load.ratio = 3.0
-solver.method = "exact"
-solver.end_time = 1.0
+load = {{profile = "ramp", duration = 0.1, ratio = 3.0}}
+solver = {{method = "exact", end_time = 1.0}}
 [optimize]
 minimize = {minimize}
 subject_to = {subject_to}
-[[optimize.parameters]]
-parameter = "load.duration"
-low = 0.0
-high = {longest}
-[[optimize.parameters]]
-parameter = "lash.contact.damping"
-low = 20.0
-high = 300.0
+parameters = [
+    {{parameter = "load.duration", low = 0.0, high = {longest}}},
+    {{parameter = "lash.contact.damping", low = 20.0, high = 300.0}},
+]
 """
 
 
@@ -200,7 +193,9 @@ def test_what_cannot_be_optimised_is_refused_in_a_sentence(old, new, sentence):
 def test_keys_may_go_by_names(brief):
     named = study_from_text(
         DAMPED_RAMP.format(minimize='"driveline.inertias[ring]"', subject_to="[]", longest=0.3)
-        .replace('"load.duration"\n', '["driveline.inertias[ring]", "driveline.inertias[flange]"]\n')
+        .replace(
+            'parameter = "load.duration"', 'parameter = ["driveline.inertias[ring]", "driveline.inertias[flange]"]'
+        )
         .replace("low = 0.0", "low = 0.001"),
     )
     best = optimize(named)

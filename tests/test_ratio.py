@@ -180,22 +180,15 @@ CAR = """
 [driveline]
 inertias = [0.2, 0.02, 0.9, 120.0]
 names = ["engine", "gearbox", "wheels", "vehicle"]
-[[driveline.shafts]]
-between = ["gearbox", "wheels"]
-ratio = {reverse}12.0
-stiffness = 60.0
-damping = 0.05
-[[driveline.shafts]]
-between = ["wheels", "vehicle"]
-stiffness = 2e4
-damping = 30.0
+shafts = [
+    {{between = ["gearbox", "wheels"], ratio = {reverse}12.0, stiffness = 60.0, damping = 0.05}},
+    {{between = ["wheels", "vehicle"], stiffness = 2e4, damping = 30.0}},
+]
 [lash]
 between = ["engine", "gearbox"]
 backlash_deg = 3.0
 radius = 0.04
-[lash.contact]
-stiffness = 1e6
-damping = 200.0
+contact = {{stiffness = 1e6, damping = 200.0}}
 [load]
 on = "engine"
 initial_torque = 100.0

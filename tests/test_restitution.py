@@ -109,13 +109,6 @@ def test_a_bouncing_ball_bounces_when_the_textbook_says(e):
     assert run.complete
 
 
-def test_without_restitution_the_first_touch_locks():
-    run = simulate(nominal(lash__contact__restitution=0.0))
-    kinds = run.events["kind"]
-    assert np.all(kinds[np.flatnonzero(kinds == TOUCH) + 1] == LOCK)
-    assert run.label == "DS(1)SS(1)"
-
-
 def test_without_restitution_no_release_is_taken_for_sticking():
     results = sweep(study_from_text(NOMINAL + "restitution = 0.0\n" + MAP))
     assert not [label for label in results.labels if "OS" in label or "CR" in label]

@@ -133,14 +133,6 @@ def test_a_state_beyond_all_numbers_and_a_step_beyond_the_stability_limit_are_sa
         stepped(plant, 2e-3)
 
 
-def test_a_run_ends_where_it_is_complete_or_cut_off():
-    plant = reference.boere(5.0, 6.0)
-    cut, whole = stepped(plant, end_time=0.15), stepped(plant)  # between two primary impacts
-    assert (cut.complete, cut.end, cut.label) == (False, 0.15, "CR(1)")
-    assert whole.complete
-    assert whole.events["time"][-1] < whole.end < 2.0
-
-
 @pytest.mark.parametrize("contact", reference.CONTACTS.values(), ids=reference.CONTACTS)
 def test_stopping_early_changes_nothing(contact, monkeypatch):
     """What is proved complete stays so: five times the end time adds no event and no acceleration."""
