@@ -77,9 +77,7 @@ class Subject:
     def run(self, cell: Numbers, numbers: Numbers) -> History:
         """The motion in a cell, with other numbers. Raises ClunkError, ConfigError."""
         trajectory = simulate(self._study_at(cell, numbers))
-        load_step = trajectory.study.load.step_time
-        limit = load_step + trajectory.study.solver.end_time
-        return sample(trajectory, until=min(max(shown_until(trajectory), load_step + trajectory.end), limit))
+        return sample(trajectory, until=shown_until(trajectory))
 
     def config(self, cell: Numbers, numbers: Numbers) -> str:
         """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell."""

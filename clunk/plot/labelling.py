@@ -7,18 +7,17 @@ from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties
 from PIL import Image
 
 from clunk.plot.layers import Layers, Measured
 from clunk.plot.plane import Codes
 from clunk.plot.style import CENTRED
 from clunk.study.arrays import Bools, Floats
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
 _NOWHERE = -2  # no region, so that no name is written there
@@ -57,8 +56,6 @@ class Raster:
 
     def measure(self, text: str, size: float) -> tuple[int, int]:
         """Width and height in raster pixels that a text takes, with room around it."""
-        from matplotlib.font_manager import FontProperties  # the explorer has names before matplotlib is there
-
         canvas: Any = self.ax.figure.canvas
         width, height, _ = canvas.get_renderer().get_text_width_height_descent(text, FontProperties(size=size), False)
         room = 2.0 * _ROOM * size * self.ax.figure.dpi / 72.0

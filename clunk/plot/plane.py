@@ -5,19 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from clunk.plot.style import MINUS, PlotError, bare, capital, plain, symbol_text
 from clunk.results.maps import Map
 from clunk.study.arrays import Array, Floats, Positions
 from clunk.study.axes import RUN, ResultAxis
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Codes = npt.NDArray[np.int16]
 
@@ -192,8 +191,6 @@ def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAx
 
 def scale_axis(ax: Axes, which: str, axis: ResultAxis, most: int = 10) -> None:
     """Set name, unit, scale and ticks of one axis, "x" or "y"; most : ticks."""
-    from matplotlib import ticker
-
     ax.set(**{f"{which}label": axis_label(axis)})
     line = getattr(ax, f"{which}axis")
     if not axis.is_geometric:

@@ -1,7 +1,4 @@
-"""Style of all figures: colours, sizes, titles, notes under them, and how they are saved.
-
-matplotlib is imported when it is first drawn with: of the colours there are other users, which do not wait for it.
-"""
+"""Style of all figures: colours, sizes, titles, notes under them, and how they are saved."""
 
 from __future__ import annotations
 
@@ -12,19 +9,20 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Literal
 
+import matplotlib.style
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Patch
 
 from clunk.results.files import PICTURES, check, write_whole, writing
 from clunk.results.labels import double_sided
 from clunk.study.errors import ClunkError
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
 Look = dict[str, Any]  # keyword arguments for matplotlib
 
@@ -72,26 +70,24 @@ class PlotError(ClunkError):
 @contextmanager
 def styled() -> Iterator[None]:
     """Draw in clunk's style, whatever a user's matplotlibrc says."""
-    from matplotlib import style
-
-    with style.context(["default", _STYLE]):
+    with matplotlib.style.context(["default", _STYLE]):
         yield
 
 
+class NotebookFigure(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        picture = io.BytesIO()
+        encode(self, "png", picture)
+        return picture.getvalue()
+
+
 def new_figure(size: tuple[float, float] = SIZE) -> Figure:
-    """An empty figure, which a notebook shows without pyplot.
+    """An empty figure.
 
     size : width and height  [inches]
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    class NotebookFigure(Figure):
-        def _repr_png_(self) -> bytes:
-            picture = io.BytesIO()
-            encode(self, "png", picture)
-            return picture.getvalue()
-
     figure = NotebookFigure(figsize=size, dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -145,16 +141,12 @@ def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
 
 
 def _arrange(figure: Figure) -> None:
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
     ConstrainedLayoutEngine().execute(figure)
     figure.set_layout_engine("none")  # else it would be laid out again when it is written
 
 
 def swatch(text: str, colour: str, **look: Any) -> Patch:
     """A note that begins with a colour."""
-    from matplotlib.patches import Patch
-
     fill: Look = {"facecolor": colour, "edgecolor": INK, "linewidth": 0.6} | look
     return Patch(label=text, **fill)
 
