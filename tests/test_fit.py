@@ -110,7 +110,7 @@ def test_a_fit_recovers_the_scale_of_the_gap(measured: Experiment) -> None:
     assert low <= TRUE_GAP <= high
     assert high - low < 0.1  # eight times known to 0.5 ms leave about 0.05, a single one 0.15
     assert fitted.estimate[0] == pytest.approx(TRUE_GAP, abs=0.05)
-    assert fitted.combinations[0][0] < 0.3
+    assert fitted.undetermined[0].spread < 0.3
 
 
 def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Experiment) -> None:

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.analysis.lines import Lines, Triangles
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
@@ -20,7 +19,6 @@ from clunk.core.status import Status
 from clunk.results.boundaries import (
     END_TIME,
     INITIAL_FLANK,
-    NO_LABEL,
     OPPOSITE_FLANK,
     STICKING_ENDS,
     STICKING_TIME,
@@ -160,7 +158,7 @@ def boundaries(
         curve_right=np.array([path.right for path in paths], np.int16),
         curve_event=events.astype(np.int8),
         junctions=values_at(junctions),
-        junction_labels=_filled(junction_labels),
+        junction_labels=junction_labels,
         ring_vertices=values_at(np.concatenate([ring.vertices for ring in rings])),
         ring_counts=np.array([len(ring.vertices) for ring in rings], np.int32),
         region_rings=np.array([len(region) for region in regions], np.int32),
@@ -205,12 +203,6 @@ def _one_of_each_cell(places: Floats, across: Floats, upward: Floats) -> Floats:
     cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
     _, first = np.unique(cells, axis=0, return_index=True)
     return places[first]
-
-
-def _filled(labels: list[list[int]]) -> npt.NDArray[np.int16]:
-    """Codes of junctions as rows of an array."""
-    width = max(3, *map(len, labels)) if labels else 3
-    return np.array([codes + [NO_LABEL] * (width - len(codes)) for codes in labels], np.int16).reshape(-1, width)
 
 
 def events_between(runner: Runner, lash: int, one: Floats, other: Floats) -> Codes:

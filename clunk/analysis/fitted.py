@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import zip_longest
 from typing import Any
 
@@ -198,9 +197,11 @@ class Fitted(Record):
     @property
     @tells("what the data leave undetermined", key="combinations")
     def undetermined(self) -> list[Combination]:
-        """The combinations of parameters, the least determined first."""
-        pairs = zip(*self.combinations, strict=True)
-        return [Combination(float(spread), direction.tolist()) for spread, direction in pairs]
+        """The ensemble's principal axes, the widest first, in coordinates in which the prior is standard normal."""
+        offsets = self.coordinates - self.weights @ self.coordinates
+        variances, directions = np.linalg.eigh((offsets * self.weights[:, None]).T @ offsets)
+        spreads = np.sqrt(np.maximum(variances, 0.0)).tolist()
+        return [*map(Combination, spreads, directions.T.tolist())][::-1]
 
     @property
     @tells("labels predicted from the other measurements")
@@ -279,16 +280,6 @@ class Fitted(Record):
         """(d, shares) quantiles of each parameter in the ensemble."""
         return weighted_quantiles(self.draws, self.weights, shares)
 
-    @cached_property
-    def combinations(self) -> tuple[Floats, Floats]:
-        """Spread, (d,), and direction, (d, d) by row, of the ensemble's principal axes, the widest first.
-
-        Both are in the coordinates in which the prior is standard normal: a spread of 1 is the prior's.
-        """
-        offsets = self.coordinates - self.weights @ self.coordinates
-        variances, directions = np.linalg.eigh((offsets * self.weights[:, None]).T @ offsets)
-        return np.sqrt(np.maximum(variances[::-1], 0.0)), directions.T[::-1]
-
     @property
     @tells()
     def warnings(self) -> list[str]:
@@ -309,12 +300,7 @@ class Fitted(Record):
 
 def weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float]) -> Floats:
     """(d, shares) quantiles of the columns of values, (n, d), with weights, (n,)."""
-    quantiles = np.empty((values.shape[1], len(shares)))
-    for k, column in enumerate(values.T):
-        order = np.argsort(column, kind="stable")
-        middle = np.cumsum(weights[order]) - weights[order] / 2.0
-        quantiles[k] = np.interp(shares, middle, column[order])
-    return quantiles
+    return np.asarray(np.quantile(values, shares, axis=0, weights=weights, method="inverted_cdf").T)
 
 
 # --- Weights and predictions ------------------------------------------------------------------------------------------

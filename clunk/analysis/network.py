@@ -9,7 +9,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from clunk.results.boundaries import NO_LABEL
 from clunk.study.arrays import Codes, Floats
 
 SAME = 1e-6  # of the map: triple points so near to each other are one junction
@@ -60,8 +62,11 @@ def paths_of(ends: Codes, labels: Codes, position: Callable[[Codes], Floats]) ->
     return paths
 
 
-def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, list[list[int]]]:
-    """Triple points (n, 2) with labels (n, 3), those at the same place as one junction; with all labels of each."""
+def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, npt.NDArray[np.int16]]:
+    """Triple points (n, 2) with labels (n, 3), those at the same place as one junction; with all labels of each.
+
+    The labels are rows of ascending codes, with `NO_LABEL` behind them.
+    """
     places: list[Floats] = []
     met: list[set[int]] = []
     for point, codes in zip(points, labels.tolist(), strict=True):
@@ -71,8 +76,12 @@ def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, list[list[int]]
         else:
             places.append(point)
             met.append(set(codes))
-    order = sorted(range(len(places)), key=lambda k: places[k].tolist())
-    return np.array([places[k] for k in order]).reshape(-1, 2), [sorted(met[k]) for k in order]
+    codes = np.full((len(met), max(map(len, met), default=3)), NO_LABEL, np.int16)
+    for row, each in zip(codes, met, strict=True):
+        row[: len(each)] = sorted(each)
+    at = np.array(places).reshape(-1, 2)
+    order = np.lexsort(at.T[::-1])
+    return at[order], codes[order]
 
 
 def rings_of(paths: list[Path], corner: int) -> list[Ring]:
