@@ -134,6 +134,8 @@ def test_rk4_and_axes_walked_together():
         labels, severities = single_runs(base, cell)
         assert found.labels[found.sequence[k]] == max(labels, key=labels.count)
         assert found.severity_mean[k] == np.mean(severities)
+    (points,) = plot.draw(found, "regimes").axes[0].collections
+    np.testing.assert_array_equal(points.get_offsets(), np.column_stack([each.values for each in found.coordinates]))
 
 
 def test_sequences_longer_than_a_pattern_are_told_apart():
@@ -360,6 +362,9 @@ class TestFigures:
         assert np.sum(1.0 - colour(least)) < 0.6 * np.sum(1.0 - own)
         notes = [text.get_text() for text in figure.legends[0].get_texts()]
         assert f"paler: less than 95 % likely, {found.uncertain} cells" in notes
+        strip = plot.draw(found.at({found.axes[1].parameter: found.axes[1].values[least[1]]}), "regimes")
+        cells = strip.axes[0].collections[0].get_array()[0]
+        np.testing.assert_allclose(cells[least[0]] / 255.0, colour(least), atol=0.02)  # 8 bits, and edges smoothed
 
     def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
         base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'

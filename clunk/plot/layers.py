@@ -132,7 +132,7 @@ class Layers:
             unresolved=np.zeros((0, len(view.axes))) if traced is None else traced.unresolved[:, list(view.keep)],
             values=values,
             value_label=drawn.plot_label(described),
-            facts=(f"{codes.size:,} runs" if view.places else draws,),
+            facts=(draws or (f"{codes.size:,} runs" if view.places else ""),),
             caveats=tuple(drawn.caveats),
         )
         if len(view.axes) == 1 or is_label:

@@ -207,19 +207,17 @@ def facet_map(
 @styled()
 def strip(layers: Layers) -> Figure:
     """The labels along one swept axis, of draws the most likely ones, as a coloured strip over a quantity's curve."""
-    layers = replace(layers, notes=())
-    samples, values, (edges, codes) = layers.view.x.values, layers.values, layers.bands
+    samples, (edges, _) = layers.view.x.values, layers.bands
     figure = new_figure()
     band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
-    fills = (*layers.colours, FAILED_FILL)
-    for left, right, code in zip(edges[:-1], edges[1:], codes, strict=True):
-        band.axvspan(left, right, facecolor=fills[code], linewidth=0.0, zorder=1)
+    pixels = np.rint(cell_colours(layers, None)[None]).astype(np.uint8)
+    band.pcolormesh(cell_edges(layers.view.x), [0.0, 1.0], pixels, rasterized=True, zorder=1)
     for edge in edges[1:-1]:
         band.axvline(edge, color=INK, linewidth=0.9, zorder=2)
         ax.axvline(edge, color=FAINT_INK, linewidth=0.6, linestyle=DASHED, zorder=1)
     look = {"color": LINE_COLOURS[0], "markersize": min(3.0, 300.0 / samples.size), "clip_on": False, "zorder": 3}
     for cells in np.split(np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1):
-        ax.plot(samples[cells], values[cells], "o-", **look)  # it jumps between regimes
+        ax.plot(samples[cells], layers.values[cells], "o-", **look)  # it jumps between regimes
     scale_axis(ax, "x", layers.view.x)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylabel(layers.value_label)
@@ -228,8 +226,7 @@ def strip(layers: Layers) -> Figure:
     band.set_yticks([])
     band.tick_params(bottom=False, labelbottom=False)
     lay_out(figure, band, layers.title, layers.subtitle())
-    notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names, _SIZES[True][0]))
-    add_notes(figure, notes)
+    add_notes(figure, _write_on_map(band, layers, is_single=True))
     return figure
 
 
