@@ -134,18 +134,15 @@ def _sizes(config: Config) -> Iterator[Finding]:
     masses: list[Size] = [(mass, ("driveline", "inertias", k)) for k, mass in enumerate(config.driveline.inertias)]
     springs: list[Size] = []
     dampers: list[Size] = []
-    joints: list[tuple[Place, float, float, tuple[float, ...], float]]  # stiffnesses and damping at a lever
-    joints = [
-        (("driveline", "shafts", k), 1.0, shaft.ratio, shaft.stages, shaft.damping)
-        for k, shaft in enumerate(config.driveline.shafts)
-    ]
+    for k, shaft in enumerate(config.driveline.shafts):
+        at: Place = ("driveline", "shafts", k)
+        for lever in (1.0, shaft.ratio**2):
+            springs += [(lever * stiffness, (*at, "stiffness")) for stiffness in shaft.stages]
+            dampers.append((lever * shaft.damping, (*at, "damping")))
     for at, lash in zip(config.lash_places, config.lashes, strict=True):
-        stiffness, damping = lash.contact.stiffness or 0.0, lash.contact.damping or 0.0
-        joints.append(((*at, "contact"), lash.radius, lash.ratio, (stiffness,), damping))
-    for at, radius, ratio, stiffnesses, damping in joints:
-        for lever in (radius**2, (radius * ratio) ** 2):
-            springs += [(lever * stiffness, (*at, "stiffness")) for stiffness in stiffnesses]
-            dampers.append((lever * damping, (*at, "damping")))
+        for lever in (lash.radius**2, (lash.radius * lash.ratio) ** 2):
+            springs.append((lever * (lash.contact.stiffness or 0.0), (*at, "contact", "stiffness")))
+            dampers.append((lever * (lash.contact.damping or 0.0), (*at, "contact", "damping")))
     for sizes, unit in ((masses, "kg m2"), ([spring for spring in springs if spring[0] > 0.0], "N m/rad")):
         (smallest, at_smallest), (largest, at_largest) = min(sizes, default=(1.0, ())), max(sizes, default=(1.0, ()))
         if largest > WIDEST_SPREAD * smallest:
