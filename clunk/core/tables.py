@@ -87,7 +87,7 @@ GUARD = np.dtype(
         ("zero_guard", np.int64),  # the successor's guard that is zero on entry, or -1
         ("zero_order", np.int64),  # and how many of its derivatives, itself included, are
         ("makes_margin", np.int64),  # whether its turning back or its depth does
-        ("alike", np.int64),  # the regime's first guard of the same functional
+        ("first_alike", np.int64),  # the regime's first guard of the same functional
     ],
     align=True,
 )

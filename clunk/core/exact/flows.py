@@ -43,10 +43,10 @@ LONG = 2 * ROW  # room for its terms
 # curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin and its sixth
 # derivative
 VALUE, SLOPE, CURVATURE = range(0, 3 * ROW, ROW)
-JERK, SWAY, SIXTH = range(3 * ROW, 3 * ROW + 3 * BLOCK, BLOCK)
+THIRD, SWAY, SIXTH = range(3 * ROW, 3 * ROW + 3 * BLOCK, BLOCK)
 WATCHED = 3 * ROW + 3 * BLOCK
-_BOUNDED = (3, 0, 6)  # the orders that JERK and what follows it bound
-SELF, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
+_BOUNDED = (3, 0, 6)  # the orders that THIRD and what follows it bound
+SELF, CROSS = range(2)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
 _MAX_CONDITION = 1e4  # of an eigenbasis in energy coordinates: beyond it, more than four digits are lost
@@ -67,10 +67,10 @@ class Flows(NamedTuple):
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up; the angles of x less the rolling, which stands apart
     modal: IntArray  # (K,)  whether the coordinates are modes
     span: FloatArray  # (K, SPANS)  [s]
-    # over a span: each coordinate's SELF and CROSS share, and its DECAY; in the last row those of a generator of modes
-    propagator: FloatArray  # (K, SPANS + 1, B, 3, 8)
+    # over a span: each coordinate's SELF and CROSS share; in the last row those of a generator of modes
+    propagator: FloatArray  # (K, SPANS + 1, B, 2, 8)
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
-    watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> JERK to SIXTH
+    watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> THIRD to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     steady: IntArray  # (K,)  whether the functionals of the origin do not move under a constant torque
 
@@ -129,7 +129,7 @@ def build_flows(
         basis=np.zeros((*many, flows, size, size)),
         modal=np.zeros((*many, flows), np.int64),
         span=np.zeros((*many, flows, spans)),
-        propagator=np.empty((*many, flows, spans + 1, blocks, 3, ROW)),  # the most: in larger pages, if any
+        propagator=np.empty((*many, flows, spans + 1, blocks, 2, ROW)),  # the most: in larger pages, if any
         generator=np.zeros((*many, flows, size, size)),
         watch=np.zeros((*many, flows, count, blocks, WATCHED)),
         series=np.zeros((*many, flows, count, size, LONG)),
@@ -227,7 +227,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     tables.coordinates[..., place], basis[:, place, :states] = into.swapaxes(-1, -2), back.swapaxes(-1, -2)
     generator[:, place[:, None], place] = shortest[:, None, None] * block
     if modal:
-        _propagate(generator, _halves(np.isin(np.arange(size), place[: unseen.size][unseen])), tables.propagator)
+        _propagate(generator, tables.propagator)
     else:
         tables.propagator[:] = 0.0
 
@@ -240,9 +240,9 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     slow = derivatives[: orders.size] / shortest[:, None, None] ** orders
     bounds = growth * _reach(slow[list(_BOUNDED)], modal)
     blocks = tables.watch.shape[:-1]
-    values = slow[: JERK // ROW].reshape(-1, *blocks, ROW)
-    tables.watch[..., :JERK] = np.moveaxis(values, 0, -2).reshape(*blocks, -1)
-    tables.watch[..., JERK:] = np.moveaxis(bounds, 0, -2).reshape(*blocks, -1)
+    values = slow[: THIRD // ROW].reshape(-1, *blocks, ROW)
+    tables.watch[..., :THIRD] = np.moveaxis(values, 0, -2).reshape(*blocks, -1)
+    tables.watch[..., THIRD:] = np.moveaxis(bounds, 0, -2).reshape(*blocks, -1)
 
 
 def _outputs(functionals: FloatArray, columns: FloatArray, chain: Chain) -> FloatArray:
@@ -464,16 +464,14 @@ def _velocities_of(damped: IntArray, vectors: npt.NDArray[Any], decays: IntArray
     return slowest if alike(moved[:, -1] > _APART, 0) else slowest[:, :0]
 
 
-def _propagate(generator: FloatArray, unseen: BoolArray, result: FloatArray) -> None:
-    """exp(generator · span) over the spans of the ladder, and the decay of the amplitudes.
+def _propagate(generator: FloatArray, result: FloatArray) -> None:
+    """exp(generator · span) over the spans of the ladder, and the generator itself.
 
     generator : (D, C, C), of each pair a block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift
-    unseen : (B, 2, 4), coordinates that no functional sees, and amplitudes need not bound
-    result : (D, SPANS + 1, B, 3, 8)
+    result : (D, SPANS + 1, B, 2, 8)
     """
     size, spans = generator.shape[-1], result.shape[1] - 1
     coordinates = _halves(np.arange(size))
-    result[:, -1] = 0.0
     result[:, -1, :, SELF] = generator.diagonal(axis1=-2, axis2=-1).reshape(-1, size // ROW, ROW)
     partners = coordinates[:, ::-1].reshape(-1, ROW)
     result[:, -1, :, CROSS] = generator[:, np.arange(size).reshape(-1, ROW), partners]
@@ -485,11 +483,9 @@ def _propagate(generator: FloatArray, unseen: BoolArray, result: FloatArray) -> 
     rates, angle, drifting = sigma * _ladder(spans), omega * _ladder(spans), drift.any()
     decay, turning = np.exp(rates), np.where(drift, 0.0, angle)
     cosine, sine = np.cos(turning), np.sin(turning)
-    table = np.empty((len(decay), 3, *decay.shape[1:]))
+    table = np.empty((len(decay), 2, *decay.shape[1:]))
     table[:, SELF], table[:, CROSS, 0] = decay * cosine[:, None], decay[:, 0] * sine
     np.multiply(-decay[:, 1], sine, out=table[:, CROSS, 1])
-    decay[unseen] = 0.0
-    table[:, DECAY] = np.maximum(decay[:, 0], decay[:, 1])[:, None]
     if drifting:
         speed = sigma[:, 1] * _ladder(spans)
         with np.errstate(invalid="ignore"):

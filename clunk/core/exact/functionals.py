@@ -54,23 +54,27 @@ def gather_tables(space: Workspace, flow: int, first: int, count: int, items_per
 
 
 @inlined_part
-def evaluate(space: Workspace, flow: int, f: int, bounded: bool) -> tuple[curves.Curve, Vector]:
+def evaluate(space: Workspace, flow: int, f: int) -> tuple[curves.Curve, Vector]:
     """`curves.evaluate` of the runs taken."""
+    work, amplitudes, size = space.pool.work, space.amplitudes, size_of(space)
     if space.mixed != 0:
         gathered = OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
-        return curves.evaluate(gathered, space.pool.work, size_of(space), bounded)
-    return curves.evaluate(space.flows.watch[0, flow, f], space.pool.work, size_of(space), bounded)
+        return curves.evaluate(gathered, work, amplitudes, size)
+    return curves.evaluate(space.flows.watch[0, flow, f], work, amplitudes, size)
 
 
 @inlined_part
-def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) -> curves.Origin:
-    """`curves.origin` of the runs taken."""
+def origin(space: Workspace, flow: int, f: int, inputs_at: int, still: bool, elapsed: Vector) -> curves.Origin:
+    """`curves.origin` of the runs taken, after a time in their phase.
+
+    inputs_at : where the regime's inputs lie in the rows that were taken
+    """
     output, work, driven = space.flows.origin_output, space.pool.work, inputs_of(space.system)
     functionals = output.shape[3]
     if space.mixed != 0:
         gathered = OfLanes(space.lane_output_origins)
-        return curves.origin(gathered, f, functionals, work, space.inputs_at, driven, still, elapsed)
-    return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, elapsed)
+        return curves.origin(gathered, f, functionals, work, inputs_at, driven, still, elapsed)
+    return curves.origin(output[0, flow], f, functionals, work, inputs_at, driven, still, elapsed)
 
 
 @inlined_part

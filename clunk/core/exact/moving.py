@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from clunk.core.exact import functionals, rows
 from clunk.core.exact.curves import A_THIRD, weighed
-from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, TERMS
+from clunk.core.exact.flows import BLOCK, CROSS, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field, is_still, size_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
@@ -17,20 +17,15 @@ FloatArray = npt.NDArray[np.float64]
 
 @inlined_part
 def to_coordinates(space: Workspace, flow: int) -> None:
-    """From the states of the runs taken to their coordinates in a flow, and the amplitudes of these."""
+    """From the states of the runs taken to their coordinates in a flow."""
+    origins, coordinates = space.flows.origin, space.flows.coordinates
     if space.mixed != 0:
-        _to_coordinates_of_lanes(space, flow)
+        count = coordinates[0, 0].size
+        _gather_origins(space, flow, 1)
+        functionals.gather(space, coordinates, flow * count, count, space.lane_table)
+        _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
-        _to_coordinates(space, space.flows.origin[0, flow], space.flows.coordinates[0, flow])
-
-
-@part
-def _to_coordinates_of_lanes(space: Workspace, flow: int) -> None:
-    vectors.stay_apart()
-    count = space.flows.coordinates[0, 0].size
-    _gather_origins(space, flow, 1)
-    functionals.gather(space, space.flows.coordinates, flow * count, count, space.lane_table)
-    _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
+        _to_coordinates(space, origins[0, flow], coordinates[0, flow])
 
 
 @inlined_part
@@ -41,7 +36,7 @@ def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
     functionals.gather(space, origins, flow * count, count // 4 * orders, space.lane_state_origins)
 
 
-@inlined_part
+@part
 def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> None:
     work, away, size, states = space.pool.work, space.moved, size_of(space), space.flows.coordinates.shape[2]
     inputs, driven = space.inputs_at, inputs_of(space.system)
@@ -53,7 +48,6 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
         for k in range(states):
             total = fused(vectors.load(away, k), vectors.number(coordinates, k * size + c), total)
         vectors.store(work, c, total)
-    measure(work, size)
 
 
 @inlined_part
@@ -62,7 +56,10 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     flows, size = space.flows, size_of(space)
     still = is_still(space, flow) and space.system.drift.shape[1] == 0
     if space.mixed != 0:
-        _to_states_of_lanes(space, flow, still)
+        count = flows.basis[0, 0].size
+        _gather_origins(space, flow, 1 if still else 4)
+        functionals.gather(space, flows.basis, flow * count, count, space.lane_table)
+        _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table), still)
     else:
         _to_states(space, flows.origin[0, flow], flows.basis[0, flow], still)
     unused = space.state.shape[0] - 1
@@ -73,15 +70,6 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 
 
 @part
-def _to_states_of_lanes(space: Workspace, flow: int, still: bool) -> None:
-    vectors.stay_apart()
-    count = space.flows.basis[0, 0].size
-    _gather_origins(space, flow, 1 if still else 4)
-    functionals.gather(space, space.flows.basis, flow * count, count, space.lane_table)
-    _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table), still)
-
-
-@inlined_part
 def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> None:
     """The states of the runs taken, into `space.moved`."""
     work, left, size, elapsed = space.pool.work, space.moved, size_of(space), field(space, rows.ELAPSED)
@@ -109,7 +97,7 @@ def move_by_spans(space: Workspace, flow: int, numbers: Vector) -> None:
 
 @inlined_part
 def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
-    """Move each of the items taken by a part of the shortest span; of modes, the amplitudes stay what they were."""
+    """Move each of the items taken by a part of the shortest span."""
     size, generator = size_of(space), space.flows.generator
     if space.flows.modal[0, flow] != 0:
         _gather_propagators(space, flow, vectors.splat(float(space.flows.span.shape[2])))
@@ -126,8 +114,8 @@ def _gather_propagators(space: Workspace, flow: int, numbers: Vector) -> None:
     vectors.store(space.notes, 0, numbers)
     for lane in range(WIDTH):
         first = (space.drivelines[lane] * propagator.shape[1] + flow) * propagator.shape[2]
-        space.offsets[lane] = (first + int(max(vectors.number(space.notes, lane), 0.0))) * 3 * size
-    for row in range(0, 3 * size, ROW):
+        space.offsets[lane] = (first + int(max(vectors.number(space.notes, lane), 0.0))) * 2 * size
+    for row in range(0, 2 * size, ROW):
         vectors.gather(propagator, space.offsets, row, space.moved, row)
 
 
@@ -135,45 +123,43 @@ def _gather_propagators(space: Workspace, flow: int, numbers: Vector) -> None:
 def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
     """Move by a span.
 
-    propagated : (3C, WIDTH) float64
+    propagated : (2C, WIDTH) float64
         The span's row of `propagator`, of each lane.
     """
     for begin in range(0, size, ROW):
-        at = 3 * begin
         for k in range(BLOCK):
-            p, q, pair = begin + k, begin + k + BLOCK, size + begin // 2 + k
+            p, q = begin + k, begin + k + BLOCK
             one, other = vectors.load(work, p), vectors.load(work, q)
-            same, cross, decay = at + SELF * ROW + k, at + CROSS * ROW + k, at + DECAY * ROW + k
+            same, cross = 2 * begin + SELF * ROW + k, 2 * begin + CROSS * ROW + k
             moved = fused(vectors.load(propagated, same), one, vectors.load(propagated, cross) * other)
             partner = fused(
                 vectors.load(propagated, same + BLOCK), other, vectors.load(propagated, cross + BLOCK) * one
             )
             vectors.store(work, p, moved)
             vectors.store(work, q, partner)
-            vectors.store(work, pair, vectors.load(propagated, decay) * vectors.load(work, pair))
 
 
 @inlined_part
-def measure(work: FloatArray, size: int) -> None:
-    """The amplitudes of the pairs."""
+def measure(work: FloatArray, size: int, amplitudes: FloatArray) -> None:
+    """The amplitudes of the pairs, (C/2, WIDTH)."""
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + BLOCK)
-            vectors.store(work, size + begin // 2 + k, vectors.root(fused(one, one, other * other)))
+            vectors.store(amplitudes, begin // 2 + k, vectors.root(fused(one, one, other * other)))
 
 
 @inlined_part
 def move(rates: FloatArray, part: Vector, work: FloatArray, size: int) -> None:
     """Move modes by a part of the shortest span, by the Taylor series of the exponential.
 
-    rates : (3C, WIDTH) float64
+    rates : (2C, WIDTH) float64
         The last row of `propagator`, of each lane.
     """
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             p, q = begin + k, begin + k + BLOCK
             one, other = vectors.load(work, p), vectors.load(work, q)
-            at_self, at_cross = 3 * begin + SELF * ROW + k, 3 * begin + CROSS * ROW + k
+            at_self, at_cross = 2 * begin + SELF * ROW + k, 2 * begin + CROSS * ROW + k
             same, cross = vectors.load(rates, at_self), vectors.load(rates, at_cross)
             same_too, crossed = vectors.load(rates, at_self + BLOCK), vectors.load(rates, at_cross + BLOCK)
             moved, partner = one, other
@@ -188,7 +174,7 @@ def move(rates: FloatArray, part: Vector, work: FloatArray, size: int) -> None:
 
 @inlined_part
 def move_together(generator: FloatArray, part: Vector, work: FloatArray, size: int, moved: FloatArray) -> None:
-    """Move coordinates that are no modes by a part of the shortest span, and see their amplitudes.
+    """Move coordinates that are no modes by a part of the shortest span.
 
     generator : (C², WIDTH) float64
         Of each lane.
@@ -205,4 +191,3 @@ def move_together(generator: FloatArray, part: Vector, work: FloatArray, size: i
             vectors.store(moved, size + r, fused(part * (1.0 / n), total, vectors.load(moved, r)))
         for r in range(size):
             vectors.store(work, r, vectors.load(moved, size + r))
-    measure(work, size)

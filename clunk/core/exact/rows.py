@@ -1,7 +1,7 @@
 """Where each number of a run, or of a search, lies in its row of `Workspace.numbers`, or of `Workspace.searches`.
 
-A row begins with the modal coordinates, C of them, and the amplitudes of their pairs; places are counted from
-`Workspace.behind`, where these end. In the lanes of `Pool.work` they are rows.
+A row begins with the modal coordinates; places are counted from `Workspace.behind`, where these end. In the lanes of
+`Pool.work` they are rows.
 """
 
 from clunk.core.jit import inlined_part
@@ -23,14 +23,14 @@ _OF_LASH = 6
 # `limit`; the SHIFT of each guard, see `shift`; the regime's inputs, when the phase or the load's piece began; and
 # whether the load, which may change at LIMIT, has not come to rest.
 
-# A search's numbers, those that change most often first.
+# A search's numbers, those that change first.
 TIME_LEFT = 0  # s
-TOP, BOTTOM = 1, 2  # a turn is looked for that is higher or lower, and becomes that: the extremes so far
-BY_SIGN, BY_SHIFT = 3, 4  # what makes a guard of the functional
-COUNTS = 5  # s: a turn counts while TIME_LEFT is at most this
-UNTIL = 6  # the search ends below that, and with the first turn; -inf: it does not
-AT, AT_SLOPE, AT_CURVATURE, AT_JERK = 7, 8, 9, 10  # the origin's value and first three derivatives
-OF_A_SEARCH = 11
+PHASE_TIME = 1  # s since the phase began
+TOP, BOTTOM = 2, 3  # a turn is looked for that is higher or lower, and becomes that: the extremes so far
+BY_SIGN, BY_SHIFT = 4, 5  # what makes a guard of the functional
+COUNTS = 6  # s: a turn counts while TIME_LEFT is at most this
+UNTIL = 7  # the search ends below that, and with the first turn; -inf: it does not
+OF_A_SEARCH = 8  # and then the regime's inputs, as in the run's row
 # Which of a run's searches that is: of the extremes of each lash's acceleration, behind those of a turn of each guard,
 # and then of how deep the guard of an event would go.
 

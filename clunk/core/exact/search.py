@@ -19,6 +19,7 @@ from clunk.core.exact.workspace import (
     lash_at,
     set_field,
     shortest_span,
+    size_of,
 )
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
@@ -48,11 +49,13 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
 
     flow, f : the flow, and the functional searched in
     """
-    still, modal, shortest = is_still(space, flow), space.flows.modal[0, flow] != 0, shortest_span(space, flow)
+    modal, shortest = space.flows.modal[0, flow] != 0, shortest_span(space, flow)
     zero, present, until = vectors.splat(0.0), (1 << count) - 1, field(space, rows.UNTIL)
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
-    origin = curves.load_origin(space.pool.work, space.behind + rows.AT)
-    seen, _ = functionals.evaluate(space, flow, f, True)
+    elapsed, inputs_at = field(space, rows.PHASE_TIME), space.behind + rows.OF_A_SEARCH
+    moving.measure(space.pool.work, size_of(space), space.amplitudes)
+    origin = functionals.origin(space, flow, f, inputs_at, is_still(space, flow), elapsed)
+    seen, _ = functionals.evaluate(space, flow, f)
     curve = curves.as_guard(seen, origin, sign, shift)
     top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), curve.value <= until
     known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS), until > -np.inf)
@@ -72,15 +75,11 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
             moving.move_by_spans(space, flow, k)
         else:
             moving.move_by_parts(space, flow, zero + 1.0)
-        if not still:
-            bent = 0.5 * h * (origin.curvature + h * curves.A_THIRD * origin.jerk)
-            set_field(space, rows.AT, origin.value + h * (origin.slope + bent))
-            set_field(space, rows.AT_SLOPE, origin.slope + h * (origin.curvature + 0.5 * h * origin.jerk))
-            set_field(space, rows.AT_CURVATURE, origin.curvature + h * origin.jerk)
     set_field(space, rows.TIME_LEFT, time_left)
+    set_field(space, rows.PHASE_TIME, elapsed + h)
     set_field(space, rows.TOP, top)
     set_field(space, rows.BOTTOM, bottom)
-    put_back(space.pool, space.searches, space.behind + (rows.BY_SIGN if still else rows.AT_JERK), present & ~done)
+    put_back(space.pool, space.searches, space.behind + rows.BY_SIGN, present & ~done)
     return int(done)
 
 
@@ -109,11 +108,11 @@ def _longest_empty(known: _Known, shortest: Vector, spans: int, modes: bool) -> 
 @part
 def _is_empty(known: _Known, h: Vector) -> int:
     """Where there is nothing to be found within times h; if so, not within shorter ones either."""
-    value, slope, curvature, jerk, _ = known.curve
+    value, slope, curvature, third, _ = known.curve
     zero = vectors.splat(0.0)
-    off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (jerk * curves.A_SIXTH))  # over h
+    off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (third * curves.A_SIXTH))  # over h
     against = vectors.choose(slope > 0.0, -curvature, curvature)
-    monotone = h * (against + h * (0.5 * jerk)) < vectors.magnitude(slope)
+    monotone = h * (against + h * (0.5 * third)) < vectors.magnitude(slope)
     within = value - known.top + h * (vectors.larger(slope, zero) + off_tangent) <= 0.0
     within &= known.bottom - value + h * (vectors.larger(-slope, zero) + off_tangent) <= 0.0
     return int(within | monotone | (h <= known.idle))

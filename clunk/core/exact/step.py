@@ -10,7 +10,7 @@ they can add subtracted instead, lets longer spans pass, but costs about as much
 one series, likewise.
 
 Between its parts a step keeps rows of lanes: OF_OUTPUT in `outputs` for each functional, OF_GUARD in `guards` for each
-guard. Guards of one functional share its rows, those from `alike * OF_OUTPUT` on, `alike` being the first such guard.
+guard. Guards of one functional share its rows, those from `first_alike * OF_OUTPUT` on.
 """
 
 import numpy as np
@@ -34,6 +34,7 @@ from clunk.core.exact.workspace import (
     set_field,
     set_field_of,
     shortest_span,
+    size_of,
     system_of,
 )
 from clunk.core.jit import inlined_part
@@ -49,9 +50,9 @@ FloatArray = npt.NDArray[np.float64]
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 _LONGEST_FALL = 2.0**16  # of the shortest spans: a guard that has not turned back then never will
 
-# Rows of `outputs`: the functional less its origin; its sway; the origin's value and first three derivatives at the
-# step's beginning, and where it moves also at its end.
-_AWAY, _SWAY, _ORIGIN, _ORIGIN_MOVED = 0, 5, 6, 10
+# Rows of `outputs`: the functional less its origin, with the bounds of its derivatives from the step's beginning on, and
+# its sway from there on.
+_AWAY, _SWAY = 0, 5
 # Rows of `guards`: the guard at the step's beginning and at its end; its least value and the sixth derivative's
 # remainder in between, as `curves.between` has them.
 _START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
@@ -70,6 +71,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     shortest, elapsed = shortest_span(space, flow), field(space, rows.ELAPSED)
     time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
+    moving.measure(pool.work, size_of(space), space.amplitudes)
     _see_guards(space, regime, False)
     may_widen = _may_widen_windows(space, flow, time_left)
     settled, kinks, at_most = 0, 0, field(space, rows.TRY)
@@ -96,7 +98,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     # All lanes are moved, also those that will not be put back. Until `put_back` the work space is at the step's end,
     # and `space.numbers` at its beginning, where the searches of this step begin.
     if short:
-        moving.move_by_parts(space, flow, part)  # of modes, the amplitudes of before will do for so short a time
+        moving.move_by_parts(space, flow, part)
     else:
         moving.move_by_spans(space, flow, k)
     elapsed += h
@@ -144,21 +146,22 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
 @inlined_part
 def _see_guards(space: Workspace, regime: int, at_end: bool) -> None:
-    """Write the guards at the step's end, or at its beginning: zero to the last bit where one is known to be."""
+    """Write the guards at the step's end, or at its beginning: zero to the last bit where one is known to be.
+
+    What bounds their derivatives at the beginning does so at the end, too.
+    """
     system, outputs, flow = space.system, space.outputs, space.system.regimes[regime].flow
     for n in range(system.regimes[regime].watched):
-        alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
+        alike, f = system.guards[regime, n].first_alike, system.guards[regime, n].functional
         at, row = alike * OF_OUTPUT, n * OF_GUARD
-        origin_at = at + (_moved_origin(space, flow) if at_end else _ORIGIN)
         if alike == n:
-            away, sway = functionals.evaluate(space, flow, f, not at_end)
-            vectors.store(outputs, at + _AWAY, away)
-            if not at_end:
+            away, sway = functionals.evaluate(space, flow, f)
+            if at_end:
+                vectors.store(outputs, at + _AWAY, (away.value, away.slope, away.curvature))
+            else:
+                vectors.store(outputs, at + _AWAY, away)
                 vectors.store(outputs, at + _SWAY, sway)
-            if not at_end or not is_still(space, flow):
-                origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
-                vectors.store(outputs, origin_at, origin)
-        away, origin = load_curve(outputs, at + _AWAY), curves.load_origin(outputs, origin_at)
+        away, origin = load_curve(outputs, at + _AWAY), _origin(space, flow, f)
         guard = curves.as_guard(away, origin, _sign(space, regime, n), _shift(space, n))
         vectors.store(space.guards, row + (_END if at_end else _START), guard)
         if not at_end and (field(space, rows.ZERO_ORDER) > 0.0) != 0:  # known in the first step of a phase alone
@@ -166,9 +169,9 @@ def _see_guards(space: Workspace, regime: int, at_end: bool) -> None:
 
 
 @inlined_part
-def _moved_origin(space: Workspace, flow: int) -> int:
-    """The rows of `outputs` that hold a functional's origin at the step's end."""
-    return _ORIGIN if is_still(space, flow) else _ORIGIN_MOVED
+def _origin(space: Workspace, flow: int, f: int) -> curves.Origin:
+    """The origin of a functional that a guard is of, at the time that `ELAPSED` says."""
+    return functionals.origin(space, flow, f, space.inputs_at, is_still(space, flow), field(space, rows.ELAPSED))
 
 
 @inlined_part
@@ -213,8 +216,9 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 def _acceleration(space: Workspace, flow: int, lash: int) -> tuple[curves.Curve, curves.Origin, Vector]:
     """A lash's acceleration, its origin, which moves only under a ramp, and a bound of the difference from now on."""
     f = lash * space.system.functionals_per_lash + ACCELERATION
-    origin = functionals.origin(space, flow, f, space.system.ramps == 0, field(space, rows.ELAPSED))
-    away, sway = functionals.evaluate(space, flow, f, True)
+    still, elapsed = space.system.ramps == 0, field(space, rows.ELAPSED)
+    origin = functionals.origin(space, flow, f, space.inputs_at, still, elapsed)
+    away, sway = functionals.evaluate(space, flow, f)
     one = vectors.splat(1.0)
     return curves.as_guard(away, origin, one, 0.0 * one), origin, sway
 
@@ -256,9 +260,10 @@ def _stay_positive(space: Workspace, regime: int) -> int:
     """Where all guards will stay positive for ever, without a miss that counts."""
     stay = -1
     for n in range(space.system.regimes[regime].watched):
-        at = space.system.guards[regime, n].alike * OF_OUTPUT
-        at_rest = _sign(space, regime, n) * vectors.load(space.outputs, at + _ORIGIN)
-        least = at_rest + _shift(space, n) - vectors.load(space.outputs, at + _SWAY)
+        guard = space.system.guards[regime, n]
+        origin = _origin(space, space.system.regimes[regime].flow, guard.functional)
+        at_rest = _sign(space, regime, n) * origin.value
+        least = at_rest + _shift(space, n) - vectors.load(space.outputs, guard.first_alike * OF_OUTPUT + _SWAY)
         stay &= (least > 0.0) & (least >= _bar(space, regime, n))
     return stay
 
@@ -308,12 +313,12 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         near = there & (~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (order >= 2.0))
         if near == 0:
             continue
-        sign, shift, at = _sign(space, regime, n), _shift(space, n), system.guards[regime, n].alike * OF_OUTPUT
+        sign, shift, guard = _sign(space, regime, n), _shift(space, n), system.guards[regime, n]
         scale = _scale(space, regime, n) if lash_of(system, regime, n) >= 0 else vectors.magnitude(shift)
-        origin = curves.load_origin(space.outputs, at + _ORIGIN)
-        functionals.expand(space, flow, system.guards[regime, n].functional, sign, shift, origin)
-        noise = vectors.magnitude(origin.value) + vectors.magnitude(shift) + vectors.load(space.outputs, at + _SWAY)
-        noise = ROUNDING * noise
+        origin = _origin(space, flow, guard.functional)
+        functionals.expand(space, flow, guard.functional, sign, shift, origin)
+        sway = vectors.load(space.outputs, guard.first_alike * OF_OUTPUT + _SWAY)
+        noise = ROUNDING * (vectors.magnitude(origin.value) + vectors.magnitude(shift) + sway)
         if elements_of(system) > 1:  # another lash's event at the same time may have been located first
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
@@ -391,7 +396,7 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
         vectors.store(guards, row + _LEAST, least)
         vectors.store(guards, row + _REMAINDER, remainder)
         if n < entered.guards:
-            close |= curves.guess(curves.with_bounds(end, start), shortest) <= 0.0
+            close |= curves.guess(end, shortest) <= 0.0
             failed |= ~(vectors.smaller(least, end.value) > 0.0)
     return failed, close
 
@@ -403,8 +408,9 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
     Returns the lanes in which to search.
     """
     known, infinite, extremes = space.accelerations, vectors.splat(np.inf), 0
+    began = field(space, rows.ELAPSED) - h
     for lash in range(lashes_of(space.system)):
-        end, origin, _ = _acceleration(space, flow, lash)
+        end, _, _ = _acceleration(space, flow, lash)
         _widen(space, lash, end.value)
         top, bottom = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
         turns = space.may_widen[lash] & advancing
@@ -415,10 +421,9 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
             turns &= ((greatest > top) | (least < bottom)) & ~monotone
         extremes |= turns
         if turns != 0:
-            began = curves.Origin(origin.value - h * origin.slope, origin.slope, 0.0 * h, 0.0 * h)
-            wanted = Search(h, top, bottom, 0.0 * h + 1.0, 0.0 * h, infinite, -infinite)
+            wanted = Search(h, began, top, bottom, 0.0 * h + 1.0, 0.0 * h, infinite, -infinite)
             f = lash * space.system.functionals_per_lash + ACCELERATION
-            begin_searches(space, flow, f, lash, turns, wanted, began)
+            begin_searches(space, flow, f, lash, turns, wanted)
     return int(extremes)
 
 
@@ -444,40 +449,40 @@ def _find_misses(space: Workspace, regime: int, event: Vector, h: Vector, advanc
         may &= ~monotone & ~bends_down
         misses |= may
         if may != 0:
-            _begin_guard_search(space, regime, n, may, h, elapsed - held_from, False)
+            _begin_guard_search(space, regime, n, may, h, elapsed - h, elapsed - held_from, False)
     return int(misses)
 
 
 @inlined_part
 def _begin_guard_search(
-    space: Workspace, regime: int, n: int, mask: int, time_left: Vector, counts: Vector, deep: bool
+    space: Workspace, regime: int, n: int, mask: int, time_left: Vector, began: Vector, counts: Vector, deep: bool
 ) -> None:
     """Begin to search the lowest turn of guard n within the step, or how deep it goes behind it, in some lanes."""
     system, bar, infinite = space.system, _bar(space, regime, n), vectors.splat(np.inf)
-    flow, guard, search = system.regimes[regime].flow, system.guards[regime, n], lashes_of(system) + n
-    row, bottom, until = guard.alike * OF_OUTPUT + _ORIGIN, bar, -infinite
+    guard, search, bottom, until = system.guards[regime, n], lashes_of(system) + n, bar, -infinite
     if deep:
-        row, bottom, until = guard.alike * OF_OUTPUT + _moved_origin(space, flow), infinite, -bar
-        search = space.searches_each - 1
-    wanted = Search(time_left, infinite, bottom, _sign(space, regime, n), _shift(space, n), counts, until)
-    origin = curves.load_origin(space.outputs, row)
-    begin_searches(space, flow, guard.functional, search, mask, wanted, origin)
+        search, bottom, until = space.searches_each - 1, infinite, -bar
+    sign, shift = _sign(space, regime, n), _shift(space, n)
+    wanted = Search(time_left, began, infinite, bottom, sign, shift, counts, until)
+    begin_searches(space, system.regimes[regime].flow, guard.functional, search, mask, wanted)
 
 
 @inlined_part
 def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) -> int:
     """Begin to search how deep the guards of events would go, where a label hangs on that; return the lanes."""
     flow, depths, infinite = space.system.regimes[regime].flow, 0, vectors.splat(np.inf)
-    longest = _LONGEST_FALL * shortest_span(space, flow)
+    longest, elapsed = _LONGEST_FALL * shortest_span(space, flow), field(space, rows.ELAPSED)
     for n in range(space.system.regimes[regime].guards):
-        among, mask = happened & (event == float(n)) & (_scale(space, regime, n) > 0.0), 0
+        end, mask = load_curve(space.guards, n * OF_GUARD + _END), 0
+        among = happened & (event == float(n)) & (_scale(space, regime, n) > 0.0)
+        among &= ~(curves.falls_by(end) >= _bar(space, regime, n))  # it goes certainly deeper than the margin is
         while among != 0:
             lane = vectors.first_of(among)
             among &= among - 1
             mask |= int(_label_hangs_on_depth(space, space.pool.items[lane], n)) << lane
         depths |= mask
         if mask != 0:
-            _begin_guard_search(space, regime, n, mask, longest, infinite, True)
+            _begin_guard_search(space, regime, n, mask, longest, elapsed, infinite, True)
     return depths
 
 

@@ -42,7 +42,7 @@ def expand(
         elif j == 2:
             total += 0.5 * shortest * shortest * origin.curvature
         elif j == 3:
-            total += A_SIXTH * shortest * shortest * shortest * origin.jerk
+            total += A_SIXTH * shortest * shortest * shortest * origin.third
         vectors.store(c, j, sign * total)
     vectors.store(c, 0, vectors.load(c, 0) + shift)
 

@@ -10,14 +10,13 @@ import numpy.typing as npt
 
 from clunk.core.events import EVENT
 from clunk.core.exact import rows
-from clunk.core.exact.curves import Origin
 from clunk.core.exact.flows import LONG, TERMS, Flows
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import reference_at, rows_of
-from clunk.core.regimes import Each, System
+from clunk.core.regimes import Each, System, inputs_of
 from clunk.core.runs import Log
 
 FloatArray = npt.NDArray[np.float64]
@@ -25,7 +24,7 @@ IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
-OF_OUTPUT, OF_GUARD, OF_ACCELERATION = 14, 12, 5  # rows that a step keeps of a functional, and so on
+OF_OUTPUT, OF_GUARD, OF_ACCELERATION = 6, 12, 5  # rows that a step keeps of a functional, and so on
 
 RUN = np.dtype(
     [
@@ -86,7 +85,7 @@ class Workspace(NamedTuple):
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
     searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each run's searches; the last row is scratch again
     searches_each: int  # L + G + 1
-    behind: int  # where the numbers that `rows` names begin in a row
+    behind: int  # C, where the numbers that `rows` names begin in a row
     inputs_at: int  # and where u does, what the run's regime makes of its inputs
     kink_at: int  # and whether the load has not come to rest
     runs: npt.NDArray[np.void]  # (S + 1,) RUN
@@ -105,7 +104,8 @@ class Workspace(NamedTuple):
     accelerations: FloatArray  # (L OF_ACCELERATION, W)
     may_widen: IntArray  # (L,)  lanes in which it can exceed what its window holds
     series: FloatArray  # (TERMS, W)
-    moved: FloatArray  # (3C, W)
+    amplitudes: FloatArray  # (C/2, W)  of the items that have been taken
+    moved: FloatArray  # (2C, W)
     notes: FloatArray  # (OF_A_SEARCH, W)  for what is done for a lane alone
     offsets: IntArray  # (W,)
     shortest: FloatArray  # (K, W)  the shortest span of each flow
@@ -141,8 +141,8 @@ def make_workspace(
     # in order: span, short, enter, each by group; search by flow and functional; over; follow
     groups, over = system.leaders.size, waiting_queues(system, flows)
     queues = Queues(0, groups, 2 * groups, 3 * groups, over, over + 1)
-    behind, lashes, driven = size * 3 // 2, len(system.lashes), system.weights.shape[1]
-    inputs_at = behind + rows.shift(most, lashes)
+    lashes, driven = len(system.lashes), system.weights.shape[1]
+    inputs_at = size + rows.shift(most, lashes)
     kink_at = inputs_at + driven
     of_a_run, searches = kink_at + 1, lashes + most + 1
     return Workspace(
@@ -153,9 +153,9 @@ def make_workspace(
         pool=make_pool(over + 2, 2 * slots, of_a_run),  # two guards of a functional may be searched at a time
         queues=queues,
         numbers=aligned(slots + 1, whole(of_a_run)),
-        searches=aligned((slots + 1) * searches, whole(behind + rows.OF_A_SEARCH)),
+        searches=aligned((slots + 1) * searches, whole(size + rows.OF_A_SEARCH + driven)),
         searches_each=searches,
-        behind=behind,
+        behind=size,
         inputs_at=inputs_at,
         kink_at=kink_at,
         runs=np.zeros(slots + 1, RUN),
@@ -173,7 +173,8 @@ def make_workspace(
         accelerations=aligned(lashes * OF_ACCELERATION, WIDTH),
         may_widen=np.zeros(lashes, np.int64),
         series=aligned(TERMS, WIDTH),
-        moved=aligned(3 * size, WIDTH),
+        amplitudes=aligned(size // 2, WIDTH),
+        moved=aligned(2 * size, WIDTH),
         notes=aligned(rows.OF_A_SEARCH, WIDTH),
         offsets=np.zeros(WIDTH, np.int64),
         shortest=shortest,
@@ -258,9 +259,10 @@ def log_of(space: Workspace, slot: int) -> Log:
 
 
 class Search(NamedTuple):
-    """The numbers of searches to be begun, in lanes and the order of `rows`, but for the origin's."""
+    """The numbers of searches to be begun, in lanes and the order of `rows`."""
 
     time_left: Vector
+    elapsed: Vector
     top: Vector
     bottom: Vector
     sign: Vector
@@ -270,9 +272,7 @@ class Search(NamedTuple):
 
 
 @part
-def begin_searches(
-    space: Workspace, flow: int, functional: int, search: int, mask: int, wanted: Search, origin: Origin
-) -> None:
+def begin_searches(space: Workspace, flow: int, functional: int, search: int, mask: int, wanted: Search) -> None:
     """Begin a search in a functional in some lanes, and append it to its queue.
 
     It begins at the state in the run's row: before `put_back` the beginning of the step, after it its end.
@@ -281,7 +281,6 @@ def begin_searches(
     """
     queue = space.queues.search + flow * space.flows.watch.shape[2] + functional
     vectors.store(space.notes, 0, wanted)
-    vectors.store(space.notes, rows.AT, origin)
     while mask != 0:
         lane = vectors.first_of(mask)
         mask &= mask - 1
@@ -291,5 +290,7 @@ def begin_searches(
             space.searches[item, k] = space.numbers[slot, k]
         for k in range(rows.OF_A_SEARCH):
             space.searches[item, space.behind + k] = space.notes[k, lane]
+        for k in range(inputs_of(space.system)):
+            space.searches[item, space.behind + rows.OF_A_SEARCH + k] = space.numbers[slot, space.inputs_at + k]
         space.runs[slot].searches += 1
         push(space.pool, queue, item)
