@@ -13,7 +13,7 @@ from numpy.polynomial.polynomial import polyval
 from scipy.linalg import expm
 
 from clunk.core.exact import curves, moving, taylor
-from clunk.core.exact.flows import BLOCK, CROSS, SPANS, TERMS
+from clunk.core.exact.flows import CROSS, PAIRS, SPANS, TERMS
 from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import WIDTH
@@ -57,7 +57,7 @@ def find_first_zero(c, part, results):
 
 def sizes(y):
     """(…, C/2, W): the amplitude of each pair."""
-    halves = y.reshape(*y.shape[:-2], -1, 2, BLOCK, y.shape[-1])
+    halves = y.reshape(*y.shape[:-2], -1, 2, PAIRS, y.shape[-1])
     return np.hypot(halves[..., 0, :, :], halves[..., 1, :, :]).reshape(*y.shape[:-2], -1, y.shape[-1])
 
 
@@ -200,7 +200,7 @@ def flow(request):
 
 def drifts(flow):
     """(C/2, 1) whether a pair is a drift, whose displacement has no bound."""
-    cross = flow.propagator[SPANS - 1, :, CROSS].reshape(-1, 2, BLOCK)
+    cross = flow.propagator[SPANS - 1, :, CROSS].reshape(-1, 2, PAIRS)
     return ((cross[:, 0] != 0.0) & (cross[:, 1] == 0.0) & flow.is_modal).reshape(-1, 1)
 
 

@@ -33,7 +33,7 @@ class Log(NamedTuple):
     # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]; by the exact method of
     # all of its window so far, and nothing that is finite before the first primary impact
     extremes: FloatArray
-    margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.run; NaN by rk4
+    margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.margins; NaN by rk4
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
 
 

@@ -13,10 +13,22 @@ import numpy as np
 
 from clunk.core.arrays import IntArray, Records
 from clunk.core.events import LOCK, SEPARATION, TOUCH
-from clunk.core.jit import compiled
+from clunk.core.jit import compiled, inlined_part
 
 INITIAL = -1
 OPPOSITE = 1
+
+
+@inlined_part
+def is_primary(side: int, last_side: int, from_sticking: bool) -> bool:
+    """Whether a touch of a flank is primary, after one of another flank or a separation from sticking."""
+    return side != last_side or from_sticking
+
+
+@inlined_part
+def is_sticking(lasted: float, sticking_time: float) -> bool:
+    """Whether a contact that lasted so long counts as sticking  [s]."""
+    return lasted > sticking_time
 
 
 @compiled
@@ -49,7 +61,7 @@ def find_primaries(
         if event.lash != lash:
             continue
         if event.kind == TOUCH:
-            if event.side != last_side or from_sticking:
+            if is_primary(event.side, last_side, from_sticking):
                 primaries[impacts] = k
                 impacts += 1
             last_side = event.side
@@ -58,7 +70,7 @@ def find_primaries(
         elif event.kind == LOCK:
             episode_began = event.time
         elif event.kind == SEPARATION:
-            from_sticking = event.time - episode_began > sticking_time
+            from_sticking = is_sticking(event.time - episode_began, sticking_time)
     return impacts
 
 

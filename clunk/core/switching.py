@@ -7,11 +7,12 @@ import numpy as np
 
 from clunk.core import rigid, rubbing
 from clunk.core.arrays import FloatArray
-from clunk.core.events import LOAD_STEP, STAGE, TOUCH
+from clunk.core.events import INSTANT, LOAD_STEP, STAGE, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
 from clunk.core.regimes import (
     System,
+    elements_of,
     frictions_of,
     gap_input,
     guard_of,
@@ -146,10 +147,11 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
 
 
 @inlined_part
-def room_for_a_switch(at: Moment, count: int) -> bool:
+def may_switch(at: Moment, count: int, stages: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock.
 
-    With these, each other lash may part where it is closed, or touch and lock where it is open.
+    With these, each other lash may part where it is closed, or touch and lock where it is open. And whether changes of
+    stage that are not written are not too many.
     """
     system, most = at.system, 1
     if system.impulsive != 0:
@@ -158,7 +160,13 @@ def room_for_a_switch(at: Moment, count: int) -> bool:
         most += 2 * (lashes_of(system) - 1)
     if frictions_of(system) > 0:  # one of them may begin to slip
         most += 1
-    return bool(count + most <= at.log.events.size)
+    return bool(count + most <= at.log.events.size and stages <= MOST_STAGES)
+
+
+@inlined_part
+def is_instant(at: Moment, count: int) -> bool:
+    """Whether the phase that the last of so many events began has lasted no time: then it has no extremes."""
+    return elements_of(at.system) > 1 and bool(at.time - at.log.events[count - 1].time < INSTANT)
 
 
 @inlined_part

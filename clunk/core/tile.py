@@ -46,7 +46,7 @@ CELL = np.dtype(
         ("severity", np.float64),  # Q, rad/s2
         ("approach_velocity", np.float64),  # V, rad/s
         ("last_event_time", np.float64),  # s after the load step, NaN without events
-        ("margin", np.float64),  # see clunk.core.exact.run; NaN where the method knows none
+        ("margin", np.float64),  # see clunk.core.exact.margins; NaN where the method knows none
         ("primary_impacts", np.int32),
         ("touches", np.int32),
         ("status", np.uint8),

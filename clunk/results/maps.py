@@ -269,7 +269,7 @@ class Results(Map):
     status, quality : shape; see `clunk.core.status`
     initial_side : shape, sign of θ_i - θ_j on the initial flank (0: none)
     margin : shape, dimensionless: how near the run came to another label, positive for what did not happen and negative
-        for what did (see `clunk.core.exact.run`); NaN where the method knows none
+        for what did (see `clunk.core.exact.margins`); NaN where the method knows none
     impact_time : (N,)  [s after the load step]; cells in C order, cell k owns `primary_impacts[k]` consecutive entries
     impact_flank : (N,), +1 opposite, -1 initial
     impact_closing_speed : (N,)  [rad/s]

@@ -8,7 +8,7 @@ import numpy as np
 
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, STAGE, TOUCH
-from clunk.core.exact.run import MOST
+from clunk.core.exact.margins import MOST
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
@@ -38,7 +38,7 @@ class Trajectory:
     phase_states : (P, 2n) float64, θ and θ' at each of these
     primaries_of : indices of the primary impacts of each lash in `events`, (P,) int64
     severities_of : Q_i of these  [rad/s2], (P,) float64
-    margins : (L,) float64, how near each lash came to another label (see clunk.core.exact.run); NaN by rk4
+    margins : (L,) float64, how near each lash came to another label (see clunk.core.exact.margins); NaN by rk4
     complete : bool, whether it was proved that nothing follows
     end : float, where the run stopped  [s after the load step]
     lash : int, index from 0 of the lash that label, severity and the like are of; `lashes` has one for each

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact.flows import BLOCK, CURVATURE, SIXTH, SLOPE, SWAY, THIRD, VALUE, WATCHED
+from clunk.core.exact.flows import CURVATURE, PAIRS, SIXTH, SLOPE, SWAY, THIRD, VALUE, WATCHED
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Table, Vector, fused
@@ -51,7 +51,7 @@ class Origin(NamedTuple):
 @inlined_part
 def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
     """What a pair of coordinates adds to the number of a functional that begins at a place of `watch`."""
-    return fused(other, vectors.number(watch, at + BLOCK), one * vectors.number(watch, at))
+    return fused(other, vectors.number(watch, at + PAIRS), one * vectors.number(watch, at))
 
 
 @inlined_part
@@ -64,9 +64,9 @@ def evaluate(watch: Table, work: FloatArray, amplitudes: FloatArray, size: int) 
     zero = vectors.splat(0.0)
     value, slope, curvature, third, sixth, sway = zero, zero, zero, zero, zero, zero
     for begin in range(0, size, ROW):
-        for k in range(BLOCK):
+        for k in range(PAIRS):
             p, at = begin + k, begin // ROW * WATCHED + k
-            one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
+            one, other = vectors.load(work, p), vectors.load(work, p + PAIRS)
             value += _pair(watch, at + VALUE, one, other)
             slope += _pair(watch, at + SLOPE, one, other)
             curvature += _pair(watch, at + CURVATURE, one, other)

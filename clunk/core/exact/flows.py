@@ -36,15 +36,15 @@ BoolArray = npt.NDArray[np.bool_]
 
 SPANS = 32  # two an octave
 MORE_SPANS = 128  # of flows with a wave so fast that the former end long before a run does
-BLOCK = ROW // 2  # pairs: their number is filled up to a multiple
+PAIRS = ROW // 2  # that lie together: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
 LONG = 2 * ROW  # room for its terms
 # where in a block of `Flows.watch` begins what multiplies coordinates: to a functional less its origin, its slope and
 # curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin and its sixth
 # derivative
 VALUE, SLOPE, CURVATURE = range(0, 3 * ROW, ROW)
-THIRD, SWAY, SIXTH = range(3 * ROW, 3 * ROW + 3 * BLOCK, BLOCK)
-WATCHED = 3 * ROW + 3 * BLOCK
+THIRD, SWAY, SIXTH = range(3 * ROW, 3 * ROW + 3 * PAIRS, PAIRS)
+WATCHED = 3 * ROW + 3 * PAIRS
 _BOUNDED = (3, 0, 6)  # the orders that THIRD and what follows it bound
 SELF, CROSS = range(2)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
@@ -238,7 +238,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     tables.series[..., :TERMS] = np.moveaxis(_TAYLOR[:, None, None, None] * derivatives, 0, -1)
     orders = np.arange(max(_BOUNDED) + 1)[:, None, None, None]
     slow = derivatives[: orders.size] / shortest[:, None, None] ** orders
-    bounds = growth * _reach(slow[list(_BOUNDED)], modal)
+    bounds = growth * _bounds(slow[list(_BOUNDED)], modal)
     blocks = tables.watch.shape[:-1]
     values = slow[: THIRD // ROW].reshape(-1, *blocks, ROW)
     tables.watch[..., :THIRD] = np.moveaxis(values, 0, -2).reshape(*blocks, -1)
@@ -267,10 +267,10 @@ def _places(size: int) -> IntArray:
 
 def _halves(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """(…, C) as (…, B, 2, 4): the one members of four pairs, and the other."""
-    return rows.reshape(*rows.shape[:-1], -1, 2, BLOCK)
+    return rows.reshape(*rows.shape[:-1], -1, 2, PAIRS)
 
 
-def _reach(rows: FloatArray, modal: bool) -> FloatArray:
+def _bounds(rows: FloatArray, modal: bool) -> FloatArray:
     """(…, B, 4), what bounds |row · y| from now on, by the pairs' amplitudes."""
     halves = _halves(rows)
     pairs = np.hypot(halves[..., 0, :], halves[..., 1, :])

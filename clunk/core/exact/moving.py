@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from clunk.core.exact import functionals, rows
 from clunk.core.exact.curves import A_THIRD, weighed
-from clunk.core.exact.flows import BLOCK, CROSS, SELF, TERMS
+from clunk.core.exact.flows import CROSS, PAIRS, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field, is_still, size_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
@@ -127,13 +127,13 @@ def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
         The span's row of `propagator`, of each lane.
     """
     for begin in range(0, size, ROW):
-        for k in range(BLOCK):
-            p, q = begin + k, begin + k + BLOCK
+        for k in range(PAIRS):
+            p, q = begin + k, begin + k + PAIRS
             one, other = vectors.load(work, p), vectors.load(work, q)
             same, cross = 2 * begin + SELF * ROW + k, 2 * begin + CROSS * ROW + k
             moved = fused(vectors.load(propagated, same), one, vectors.load(propagated, cross) * other)
             partner = fused(
-                vectors.load(propagated, same + BLOCK), other, vectors.load(propagated, cross + BLOCK) * one
+                vectors.load(propagated, same + PAIRS), other, vectors.load(propagated, cross + PAIRS) * one
             )
             vectors.store(work, p, moved)
             vectors.store(work, q, partner)
@@ -143,8 +143,8 @@ def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
 def measure(work: FloatArray, size: int, amplitudes: FloatArray) -> None:
     """The amplitudes of the pairs, (C/2, WIDTH)."""
     for begin in range(0, size, ROW):
-        for k in range(BLOCK):
-            one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + BLOCK)
+        for k in range(PAIRS):
+            one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + PAIRS)
             vectors.store(amplitudes, begin // 2 + k, vectors.root(fused(one, one, other * other)))
 
 
@@ -156,12 +156,12 @@ def move(rates: FloatArray, part: Vector, work: FloatArray, size: int) -> None:
         The last row of `propagator`, of each lane.
     """
     for begin in range(0, size, ROW):
-        for k in range(BLOCK):
-            p, q = begin + k, begin + k + BLOCK
+        for k in range(PAIRS):
+            p, q = begin + k, begin + k + PAIRS
             one, other = vectors.load(work, p), vectors.load(work, q)
             at_self, at_cross = 2 * begin + SELF * ROW + k, 2 * begin + CROSS * ROW + k
             same, cross = vectors.load(rates, at_self), vectors.load(rates, at_cross)
-            same_too, crossed = vectors.load(rates, at_self + BLOCK), vectors.load(rates, at_cross + BLOCK)
+            same_too, crossed = vectors.load(rates, at_self + PAIRS), vectors.load(rates, at_cross + PAIRS)
             moved, partner = one, other
             for n in range(TERMS - 1, 0, -1):
                 share = part * (1.0 / n)

@@ -6,59 +6,33 @@ expected to pass so, the guard is expanded there into its Taylor series, exact t
 if it has one, is the event. So no event is skipped, to rounding, for this model.
 
 The severity's extremes are located by the same means, where the acceleration could exceed what the window holds; and
-so are the near misses, which give the run's margin: how near it came to another label. It is the smallest of
-
-- positive, what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the whole
-  gap; and where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
-  torque that locks them), as a share of its value at rest;
-- negative, what did: how much further a primary touch, or the end of a sticking contact, would have gone, were the
-  contact not to change;
-- of either sign: 1 - (length of a contact)/(sticking time), at each separation.
+so are the near misses that make the run's margin, see `margins`.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import INSTANT, LOCK, REJOIN, SEPARATION, TOUCH
+from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.core.exact import functionals, moving, rows
+from clunk.core.exact.margins import MOST, note_holding, set_static, take_margin_of_event, take_margins_of_load
 from clunk.core.exact.search import conclude, search
 from clunk.core.exact.step import take_step
-from clunk.core.exact.workspace import (
-    GRAZING,
-    Workspace,
-    lash_at,
-    log_of,
-    set_field,
-    system_at,
-    system_of,
-)
+from clunk.core.exact.workspace import Workspace, lash_at, log_of, set_field, system_at, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import (
-    System,
-    elements_of,
-    frictions_of,
-    gap_input,
-    inputs_of,
-    lash_of,
-    lashes_of,
-    take_rolling,
-)
-from clunk.core.rigid import holding_torque
-from clunk.core.runs import LEVEL, Entry, Moment, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
+from clunk.core.regimes import frictions_of, gap_input, lashes_of, take_rolling
+from clunk.core.runs import Entry, Moment, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
+from clunk.core.sequence import is_primary, is_sticking
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, begin_run, preload, recheck_frictions, room_for_a_switch, switch, weigh
-from clunk.core.tables import GAP, TORQUE, TORQUE_RATE
+from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, set_weighed, switch, weigh
 
 FloatArray = npt.NDArray[np.float64]
 
 _OK = int(Status.OK)
 _NON_FINITE = int(Status.NON_FINITE)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
-
-MOST = 0.25  # larger margins are not looked for, and written as this
 
 
 @inlined_part
@@ -76,7 +50,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
         own[rows.MARGIN] = MOST
         # no acceleration counts before the first primary impact
         own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = np.inf, -np.inf
-    _set_static(space, slot, start)
+    set_static(space, slot, start)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
 
@@ -107,8 +81,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     entered = system.regimes[regime]
-    for k in range(inputs_of(system)):
-        space.numbers[slot, space.inputs_at + k] = system.weights[regime, k] * inputs[k]
+    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.kink_at])
     for lash in range(lashes_of(system)):
         contact, course = system.contacts[regime, lash], space.courses[slot, lash]
         own = space.numbers[slot, lash_at(space, lash) :]
@@ -174,7 +147,7 @@ def _follow(space: Workspace, slot: int) -> None:
     row = space.runs[slot]
     now = row.time + space.numbers[slot, space.behind + rows.ELAPSED]
     if row.ended == rows.BY_EVENT:
-        _switch(space, slot)
+        _end_phase(space, slot, now)
     elif row.ended == rows.SETTLED:
         row.quality |= QUALITY_COMPLETE
         _end(space, slot, _OK, now)
@@ -182,7 +155,7 @@ def _follow(space: Workspace, slot: int) -> None:
         system = system_of(space, slot)
         end = end_of_piece(system, space.loads[row.load], row.piece)
         if end < system.end_time[0]:
-            _go_on(space, slot, end)
+            _end_phase(space, slot, end)
         else:
             _end(space, slot, _OK, end)
     elif row.ended == rows.LOST:
@@ -194,39 +167,50 @@ def _follow(space: Workspace, slot: int) -> None:
 
 
 @inlined_part
-def _go_on(space: Workspace, slot: int, time: float) -> None:
-    """Go on in a phase where another piece of the load begins.
-
-    There the torque that locks the flanks may jump or bend, and be least: a miss that no step sees.
-    """
-    system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
-    x, lashes = space.state[slot, : system.lashes.shape[1]], lashes_of(system)
+def _end_phase(space: Workspace, slot: int, time: float) -> None:
+    """End a phase by an event, or where another piece of the load begins, and enter what follows."""
+    system, row = system_of(space, slot), space.runs[slot]
+    x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
+    at = Moment(system, time, x, space.inputs[slot], log_of(space, slot))
     row.rolled += take_rolling(system, x)
-    at = Moment(system, time, x, inputs, log_of(space, slot))
-    if frictions_of(system) > 0 and not room_for_a_switch(at, row.count):
+    for k in range(x.size):
+        total += abs(x[k])
+    if not np.isfinite(total):
+        _end(space, slot, _NON_FINITE, time)
+        return
+    switches = by_event or frictions_of(system) > 0
+    if switches and not may_switch(at, row.count, row.stages):
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
-    numbers = space.numbers[slot, space.behind :]
-    zero_guard = int(numbers[rows.ZERO_GUARD]) if numbers[rows.ZERO_ORDER] > 0.0 else -1
-    entry = Entry(row.count, row.regime, zero_guard, int(numbers[rows.ZERO_ORDER]))
-    if system.impulsive != 0:
-        set_torque(system, space.loads[row.load], row.piece, time, inputs)
-        for lash in range(lashes):
-            space.held[lash, 0], space.held[lash, 1], _ = holding_torque(at, row.regime, lash)
+    set_torque(system, space.loads[row.load], row.piece, time, at.inputs)
+    if by_event:
+        entry = _switch(space, slot, at)
+    else:
+        numbers = space.numbers[slot, space.behind :]
+        order = int(numbers[rows.ZERO_ORDER])
+        entry = Entry(row.count, row.regime, int(numbers[rows.ZERO_GUARD]) if order > 0 else -1, order)
+        note_holding(space, slot, at)
     _enter(space, slot, time, x, entry)
-    for lash in range(lashes if system.impulsive != 0 else 0):
-        contact, own = system.contacts[row.regime, lash], space.numbers[slot, lash_at(space, lash) :]
-        scale = own[rows.SCALE]
-        if contact.closed == 0 or not scale > 0.0:
-            continue
-        torque, slope = space.held[lash, 0], space.held[lash, 1]
-        torque_after, slope_after, _ = holding_torque(at, row.regime, lash)
-        jump, rounding = contact.side * (torque_after - torque), GRAZING * scale
-        falls = contact.side * slope < 0.0 or jump < -rounding
-        rises = contact.side * slope_after > 0.0 or jump > rounding
-        least = min(contact.side * torque, contact.side * torque_after) / scale
-        if falls and rises and 0.0 <= least < abs(own[rows.MARGIN]):
-            own[rows.MARGIN] = least
+    if not by_event:
+        take_margins_of_load(space, slot, at)
+
+
+@inlined_part
+def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
+    """Switch by the guard that turned negative; take what that says of the run's margin and its windows."""
+    row = space.runs[slot]
+    take_margin_of_event(space, slot, at)
+    if is_instant(at, row.count):
+        for lash in range(lashes_of(at.system)):
+            course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = course.window_max, course.window_min
+    entry = switch(at, row.regime, row.guard, row.count, space.fastest[slot])
+    if entry.written == row.count:  # a stage that is not written: the phase goes on
+        row.stages += 1
+    else:
+        _close_phase(space, slot)
+    _take_events(space, slot, row.count, entry.written)
+    return entry
 
 
 @inlined_part
@@ -251,44 +235,6 @@ def _close_phase(space: Workspace, slot: int) -> None:
 
 
 @inlined_part
-def _forget_phase(space: Workspace, slot: int) -> None:
-    """Forget the extremes of a phase that lasted no time."""
-    for lash in range(lashes_of(space.system)):
-        course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
-        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = course.window_max, course.window_min
-
-
-@inlined_part
-def _switch(space: Workspace, slot: int) -> None:
-    """A guard turned negative: take what that says of the run's margin, and enter the regime that follows."""
-    system, row, inputs, log = system_of(space, slot), space.runs[slot], space.inputs[slot], log_of(space, slot)
-    numbers = space.numbers[slot, space.behind :]
-    x, time, total = space.state[slot, : system.lashes.shape[1]], row.time + numbers[rows.ELAPSED], 0.0
-    row.rolled += take_rolling(system, x)
-    for k in range(x.size):
-        total += abs(x[k])
-    if not np.isfinite(total):
-        _end(space, slot, _NON_FINITE, time)
-        return
-    at = Moment(system, time, x, inputs, log)
-    if not room_for_a_switch(at, row.count) or row.stages > MOST_STAGES:
-        _end(space, slot, _EVENT_BUFFER_FULL, time)
-        return
-    if system.ramps != 0:
-        set_torque(system, space.loads[row.load], row.piece, time, inputs)
-    _take_margin(space, slot, x, time)
-    if elements_of(system) > 1 and time - log.events[row.count - 1].time < INSTANT:
-        _forget_phase(space, slot)
-    entry = switch(at, row.regime, row.guard, row.count, space.fastest[slot])
-    if entry.written == row.count:  # a stage that is not written: the phase goes on
-        row.stages += 1
-    else:
-        _close_phase(space, slot)
-    _take_events(space, slot, row.count, entry.written)
-    _enter(space, slot, time, x, entry)
-
-
-@inlined_part
 def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
     """Take what events from the first up to those written say of their lashes' contacts and windows."""
     system, log = system_of(space, slot), log_of(space, slot)
@@ -300,64 +246,12 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
         lash = event.lash
         course = space.courses[slot, lash]
         if event.kind == TOUCH:
-            if event.side != course.last_side or course.from_sticking != 0:
-                # a primary impact, by the rule of `sequence.find_primaries`: its window is empty, anything counts
+            if is_primary(event.side, course.last_side, course.from_sticking != 0):
+                # its window is empty: anything counts
                 own = space.numbers[slot, lash_at(space, lash) :]
                 own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = -np.inf, np.inf
             course.last_side, course.contact_began, course.from_sticking = event.side, event.time, 0
         elif event.kind == LOCK:
             course.contact_began = event.time
         elif event.kind == SEPARATION:
-            course.from_sticking = int(event.time - course.contact_began > system.sticking_time[lash])
-
-
-@inlined_part
-def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> None:
-    """Take what an event at state `x` says of the margin of its lash."""
-    system, row = system_of(space, slot), space.runs[slot]
-    guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
-    if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
-        return
-    course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
-    margin = own[rows.MARGIN]
-    age, sticking_time = time - course.contact_began, system.sticking_time[lash]
-    if guard.event_kind == SEPARATION and abs(age - sticking_time) < abs(margin) * sticking_time:
-        margin = 1.0 - age / sticking_time
-    if guard.event_kind == REJOIN and age > sticking_time and course.static > 0.0:
-        # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
-        overlap = max(_overlap(system, lash, guard.side, x, space.inputs[slot]), 0.0)
-        if overlap / course.static < abs(margin):
-            margin = overlap / course.static
-    own[rows.MARGIN] = margin
-
-
-@part
-def _set_static(space: Workspace, slot: int, start: Start) -> None:
-    """Set `static`: how far flanks overlap, or the torque that locks them, in steady motion at the load's end.
-
-    Where there is none, it is that before the load step; without a flank it is zero. The run's state is overwritten.
-    """
-    system, inputs = system_of(space, slot), space.inputs[slot]
-    x, torque, rate = space.state[slot, : system.lashes.shape[1]], inputs[TORQUE], inputs[TORQUE_RATE]
-    inputs[TORQUE], inputs[TORQUE_RATE] = start.loads[start.load, -1, LEVEL], 0.0
-    status, regime = preload(system, inputs, x)
-    if status != _OK:
-        inputs[TORQUE] = start.before[TORQUE]
-        status, regime = preload(system, inputs, x)
-    for lash in range(lashes_of(system)):
-        side = system.contacts[regime, lash].side
-        if system.impulsive != 0:
-            static = side * holding_torque(Moment(system, 0.0, x, inputs, log_of(space, slot)), regime, lash)[0]
-        else:
-            static = _overlap(system, lash, side, x, inputs)
-        space.courses[slot, lash].static = max(static, 0.0) if status == _OK else 0.0
-    inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
-
-
-@inlined_part
-def _overlap(system: System, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> float:
-    """How far the flanks of a lash overlap on one side  [rad]."""
-    overlap = -inputs[gap_input(lash)]
-    for k in range(x.size):
-        overlap += side * system.functionals[0, lash * system.functionals_per_lash + GAP, k] * x[k]
-    return float(overlap)
+            course.from_sticking = int(is_sticking(event.time - course.contact_began, system.sticking_time[lash]))

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact import curves, functionals, moving, rows, taylor
+from clunk.core.exact.margins import take_margin_of_guard
 from clunk.core.exact.workspace import (
-    GRAZING,
     Workspace,
     field,
     is_still,
@@ -25,8 +25,7 @@ from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
-from clunk.core.regimes import lash_of, lashes_of
-from clunk.core.status import QUALITY_GRAZING
+from clunk.core.regimes import lashes_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -171,15 +170,7 @@ def conclude(space: Workspace, queue: int, count: int, done: int) -> None:
             own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = top, bottom
         else:
             deep = search == space.searches_each - 1
-            guard = run.guard if deep else search - lashes
-            lash = lash_of(space.system, run.regime, guard)
-            own = space.numbers[slot, lash_at(space, lash) :]
-            scale = own[rows.SCALE]
-            if abs(bottom) < abs(own[rows.MARGIN]) * scale:
-                margin = (min(bottom, 0.0) if deep else max(bottom, 0.0)) / scale
-                own[rows.MARGIN] = margin
-                if not deep and margin <= GRAZING:
-                    run.quality |= QUALITY_GRAZING
+            take_margin_of_guard(space, slot, run.guard if deep else search - lashes, bottom, deep)
         run.searches -= 1
         if run.searches == 0:
             push(space.pool, space.queues.follow, slot)

@@ -16,10 +16,11 @@ guard. Guards of one functional share its rows, those from `first_alike * OF_OUT
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import INSTANT, OPENING, SEPARATION, TOUCH
+from clunk.core.events import INSTANT
 from clunk.core.exact import curves, functionals, moving, rows, taylor
 from clunk.core.exact.curves import load_curve
 from clunk.core.exact.flows import TERMS
+from clunk.core.exact.margins import label_hangs_on_depth
 from clunk.core.exact.workspace import (
     GRAZING,
     OF_ACCELERATION,
@@ -35,7 +36,6 @@ from clunk.core.exact.workspace import (
     set_field_of,
     shortest_span,
     size_of,
-    system_of,
 )
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
@@ -50,8 +50,8 @@ FloatArray = npt.NDArray[np.float64]
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 _LONGEST_FALL = 2.0**16  # of the shortest spans: a guard that has not turned back then never will
 
-# Rows of `outputs`: the functional less its origin, with the bounds of its derivatives from the step's beginning on, and
-# its sway from there on.
+# Rows of `outputs`: the functional less its origin; its sway, which as the bounds of its derivatives is that from the
+# step's beginning on.
 _AWAY, _SWAY = 0, 5
 # Rows of `guards`: the guard at the step's beginning and at its end; its least value and the sixth derivative's
 # remainder in between, as `curves.between` has them.
@@ -61,6 +61,16 @@ _START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
 @inlined_part
 def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     """Take a step with the `count` runs that have been taken: of a span, or of a part of the shortest one.
+
+    In each lane there are coordinates y at a time t of the phase. With a functional's row c in the flow, its origin p
+    and the inputs u, a guard is g(t) = sign (c · y + p(t) · u) + shift. From t on, the amplitudes of y bound |c · y| by
+    its sway, and the third and the sixth derivative of g by their bounds. A span h is chosen such that a guess from all
+    these stays positive; y moves to exp(Λ h) y; and h counts if values, slopes and curvatures at t and t + h, and the
+    sixth derivative's bound, prove that g was positive in between. A part of the shortest span ends at the first zero
+    of the Taylor series of g, or at its own end.
+
+    Each run then waits in the queue of its next step or of its searches, or in `follow`, where RUN tells how the step
+    ended. What failed stays where it was, and tries a shorter span next.
 
     group : of regimes, the one that all these runs are in
     """
@@ -479,24 +489,11 @@ def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) ->
         while among != 0:
             lane = vectors.first_of(among)
             among &= among - 1
-            mask |= int(_label_hangs_on_depth(space, space.pool.items[lane], n)) << lane
+            mask |= int(label_hangs_on_depth(space, space.pool.items[lane], n)) << lane
         depths |= mask
         if mask != 0:
             _begin_guard_search(space, regime, n, mask, longest, elapsed, infinite, True)
     return depths
-
-
-@inlined_part
-def _label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
-    """Whether a label hangs on how deep the guard goes that ended a run's phase."""
-    system, row = system_of(space, slot), space.runs[slot]
-    guard, lash = system.guards[row.regime, n], lash_of(system, row.regime, n)
-    course, now = space.courses[slot, lash], row.time + space.numbers[slot, space.behind + rows.ELAPSED]
-    if guard.event_kind == TOUCH:  # a primary one
-        return bool(guard.side != course.last_side or course.from_sticking != 0)
-    if guard.event_kind == OPENING:  # by force: it counts after a contact that held
-        return bool(course.from_sticking != 0)
-    return bool(guard.event_kind == SEPARATION and now - course.contact_began > system.sticking_time[lash])
 
 
 @inlined_part

@@ -49,17 +49,12 @@ def expand(
 
 @part
 def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
-    """Value, slope and half the second derivative of a series: Horner's rule, even and odd powers side by side."""
-    zero = vectors.splat(0.0)
-    square = s * s
-    even, odd, even_slope, odd_slope, even_half, odd_half = zero, zero, zero, zero, zero, zero  # by s²
-    for k in range(TERMS // 2 - 1, -1, -1):
-        even_half, odd_half = fused(even_half, square, even_slope), fused(odd_half, square, odd_slope)
-        even_slope, odd_slope = fused(even_slope, square, even), fused(odd_slope, square, odd)
-        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
-    value = fused(s, odd, even)
-    slope = fused(2.0, fused(s, even_slope, square * odd_slope), odd)
-    half = fused(4.0 * square, fused(s, odd_half, even_half), fused(3.0 * s, odd_slope, even_slope))
+    """Value, slope and half the second derivative of a series, by Horner's rule."""
+    value, slope, half = vectors.load(c, TERMS - 1), vectors.splat(0.0), vectors.splat(0.0)
+    for k in range(TERMS - 2, -1, -1):
+        half = fused(half, s, slope)
+        slope = fused(slope, s, value)
+        value = fused(value, s, vectors.load(c, k))
     return value, slope, half
 
 

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.core.arrays import FloatArray, StopFlag
-from clunk.core.events import INSTANT
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import System, elements_of, frictions_of, lashes_of, turn_back
+from clunk.core.regimes import System, frictions_of, lashes_of, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
@@ -33,7 +32,7 @@ from clunk.core.runs import (
     set_torque,
 )
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, begin_run, recheck_frictions, room_for_a_switch, switch
+from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch
 from clunk.core.tables import ACCELERATION
 
 _OK = int(Status.OK)
@@ -138,21 +137,19 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         written = entry.written
         if guard < 0:  # another piece of the load
             at = Moment(system, begin, x, inputs, log)
-            if frictions_of(system) > 0 and not room_for_a_switch(at, written):
+            if frictions_of(system) > 0 and not may_switch(at, written, stages):
                 return Outcome(_EVENT_BUFFER_FULL, written, 0, begin)
             entry = Entry(written, entry.regime, -1, 0)
             continue
 
         time = begin + index * grid.step + offset
         at = Moment(system, time, x, inputs, log)
-        if not room_for_a_switch(at, written):
+        if not may_switch(at, written, stages):
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
-        if elements_of(system) > 1 and time - log.events[written - 1].time < INSTANT:
+        if is_instant(at, written):
             extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
         entry = switch(at, entry.regime, guard, written, room.fastest)
         stages += entry.written == written
-        if stages > MOST_STAGES:
-            return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
 

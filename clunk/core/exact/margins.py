@@ -1,0 +1,138 @@
+"""The margin of a run: how near each of its lashes came to another label, by the exact method.
+
+It is the smallest in size, each as a share of what it is at rest, of
+
+- positive, what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the whole
+  gap; and where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
+  torque that locks them), as a share of its value at rest;
+- negative, what did: how much further a primary touch, or the end of a sticking contact, would have gone, were the
+  contact not to change;
+- of either sign: 1 - (length of a contact)/(sticking time), at each separation.
+
+The turns of guards, and how deep they would go, `search` finds within a step.
+"""
+
+from clunk.core.arrays import FloatArray
+from clunk.core.events import OPENING, REJOIN, SEPARATION, TOUCH
+from clunk.core.exact import rows
+from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, log_of, system_of
+from clunk.core.jit import inlined_part, part
+from clunk.core.regimes import System, gap_input, lash_of, lashes_of
+from clunk.core.rigid import holding_torque
+from clunk.core.runs import LEVEL, Moment, Start
+from clunk.core.sequence import is_primary, is_sticking
+from clunk.core.status import QUALITY_GRAZING, Status
+from clunk.core.switching import preload
+from clunk.core.tables import GAP, TORQUE, TORQUE_RATE
+
+_OK = int(Status.OK)
+MOST = 0.25  # larger margins are not looked for, and written as this
+
+
+@inlined_part
+def _take(own: FloatArray, margin: float) -> None:
+    """Take a margin of a lash, whose numbers are `own`, where it is the smallest so far; NaN is none."""
+    if abs(margin) < abs(own[rows.MARGIN]):
+        own[rows.MARGIN] = margin
+
+
+@part
+def set_static(space: Workspace, slot: int, start: Start) -> None:
+    """Set `static`: how far flanks overlap, or the torque that locks them, in steady motion at the load's end.
+
+    Where there is none, it is that before the load step; without a flank it is zero. The run's state is overwritten.
+    """
+    system, inputs = system_of(space, slot), space.inputs[slot]
+    x, torque, rate = space.state[slot, : system.lashes.shape[1]], inputs[TORQUE], inputs[TORQUE_RATE]
+    inputs[TORQUE], inputs[TORQUE_RATE] = start.loads[start.load, -1, LEVEL], 0.0
+    status, regime = preload(system, inputs, x)
+    if status != _OK:
+        inputs[TORQUE] = start.before[TORQUE]
+        status, regime = preload(system, inputs, x)
+    for lash in range(lashes_of(system)):
+        side = system.contacts[regime, lash].side
+        if system.impulsive != 0:
+            static = side * holding_torque(Moment(system, 0.0, x, inputs, log_of(space, slot)), regime, lash)[0]
+        else:
+            static = _overlap(system, lash, side, x, inputs)
+        space.courses[slot, lash].static = max(static, 0.0) if status == _OK else 0.0
+    inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
+
+
+@inlined_part
+def _overlap(system: System, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> float:
+    """How far the flanks of a lash overlap on one side  [rad]."""
+    overlap = -inputs[gap_input(lash)]
+    for k in range(x.size):
+        overlap += side * system.functionals[0, lash * system.functionals_per_lash + GAP, k] * x[k]
+    return float(overlap)
+
+
+@inlined_part
+def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
+    """Take what the event that ended a run's phase says of the margin of its lash."""
+    system, row = at.system, space.runs[slot]
+    guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
+    if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
+        return
+    course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+    if guard.event_kind == SEPARATION:
+        _take(own, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
+    elif is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
+        # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
+        _take(own, max(_overlap(system, lash, guard.side, at.x, at.inputs), 0.0) / course.static)
+
+
+@inlined_part
+def note_holding(space: Workspace, slot: int, at: Moment) -> None:
+    """Note the torques that lock rigid flanks, and their rates of change, before another piece of the load begins."""
+    for lash in range(lashes_of(at.system) if at.system.impulsive != 0 else 0):
+        space.held[lash, 0], space.held[lash, 1], _ = holding_torque(at, space.runs[slot].regime, lash)
+
+
+@inlined_part
+def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
+    """Take the margins of rigid flanks in contact where another piece of the load has begun.
+
+    There the torque that locks them may jump or bend, and be least: a miss that no step sees.
+    """
+    system, regime = at.system, space.runs[slot].regime
+    for lash in range(lashes_of(system) if system.impulsive != 0 else 0):
+        contact, own = system.contacts[regime, lash], space.numbers[slot, lash_at(space, lash) :]
+        scale = own[rows.SCALE]
+        if contact.closed == 0 or not scale > 0.0:
+            continue
+        torque, slope = space.held[lash, 0], space.held[lash, 1]
+        torque_after, slope_after, _ = holding_torque(at, regime, lash)
+        jump, rounding = contact.side * (torque_after - torque), GRAZING * scale
+        falls = contact.side * slope < 0.0 or jump < -rounding
+        rises = contact.side * slope_after > 0.0 or jump > rounding
+        least = min(contact.side * torque, contact.side * torque_after) / scale
+        if falls and rises and least >= 0.0:
+            _take(own, least)
+
+
+@inlined_part
+def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
+    """Whether a label hangs on how deep the guard goes that ended a run's phase."""
+    system, row = system_of(space, slot), space.runs[slot]
+    guard, lash = system.guards[row.regime, n], lash_of(system, row.regime, n)
+    course, now = space.courses[slot, lash], row.time + space.numbers[slot, space.behind + rows.ELAPSED]
+    if guard.event_kind == TOUCH:
+        return is_primary(guard.side, course.last_side, course.from_sticking != 0)
+    if guard.event_kind == OPENING:  # by force: it counts after a contact that held
+        return bool(course.from_sticking != 0)
+    return guard.event_kind == SEPARATION and is_sticking(now - course.contact_began, system.sticking_time[lash])
+
+
+@inlined_part
+def take_margin_of_guard(space: Workspace, slot: int, guard: int, turn: float, deep: bool) -> None:
+    """Take what a search found: the lowest turn of a guard of a run, or how deep the guard of its event would go."""
+    run = space.runs[slot]
+    own = space.numbers[slot, lash_at(space, lash_of(space.system, run.regime, guard)) :]
+    scale = own[rows.SCALE]
+    if abs(turn) < abs(own[rows.MARGIN]) * scale:
+        margin = (min(turn, 0.0) if deep else max(turn, 0.0)) / scale
+        own[rows.MARGIN] = margin
+        if not deep and margin <= GRAZING:
+            run.quality |= QUALITY_GRAZING
