@@ -40,7 +40,7 @@ class Curve(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """A functional of a flow's particular solution: its value and first three derivatives, of which the last rests."""
+    """A functional or state of a flow's particular solution: its value and three derivatives; the last is constant."""
 
     value: Vector
     slope: Vector
@@ -90,28 +90,28 @@ def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int
 
 @inlined_part
 def origin(
-    output: Table,
-    f: int,
-    functionals: int,
+    weights: Table,
+    first: int,
+    stride: int,
+    order: int,
     inputs: FloatArray,
     at: int,
     driven: int,
     still: bool,
     elapsed: Vector,
 ) -> Origin:
-    """A functional's origin after a time.
+    """The origin of a functional or a state after a time: its value and derivatives by the inputs.
 
-    output : of (4, F, I) numbers, functionals : F
+    weights : begin at `first`, one for each input and `stride` apart; those of the next derivative lie `order` behind
     inputs : (…, W) float64, `driven` rows from `at` on
     still : whether it does not move
     """
-    first, order = f * driven, functionals * driven
-    value = weighed(inputs, at, output, first, 1, driven)
+    value = weighed(inputs, at, weights, first, stride, driven)
     slope = curvature = third = vectors.splat(0.0)
     if not still:
-        slope = weighed(inputs, at, output, first + order, 1, driven)
-        curvature = weighed(inputs, at, output, first + 2 * order, 1, driven)
-        third = weighed(inputs, at, output, first + 3 * order, 1, driven)
+        slope = weighed(inputs, at, weights, first + order, stride, driven)
+        curvature = weighed(inputs, at, weights, first + 2 * order, stride, driven)
+        third = weighed(inputs, at, weights, first + 3 * order, stride, driven)
         value += elapsed * (slope + 0.5 * elapsed * (curvature + elapsed * A_THIRD * third))
         slope += elapsed * (curvature + 0.5 * elapsed * third)
         curvature += elapsed * third

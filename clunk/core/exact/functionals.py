@@ -25,7 +25,6 @@ def gather(space: Workspace, table: FloatArray, first: int, count: int, to: Floa
     table : (D, …) float64
     to : (count or more, W) float64
     """
-    vectors.stay_apart()
     numbers = table.size // table.shape[0]  # of a driveline
     for lane in range(WIDTH):
         space.offsets[lane] = space.drivelines[lane] * numbers + first
@@ -40,7 +39,6 @@ def gather_tables(space: Workspace, flow: int, first: int, count: int, items_per
 
     That is its shortest span, `count` of its functionals from the first on, and the origins of all.
     """
-    vectors.stay_apart()
     for lane in range(WIDTH):
         driveline = space.runs[space.pool.items[lane] // items_per_run].driveline
         space.drivelines[lane] = driveline
@@ -70,11 +68,11 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, still: bool, ela
     inputs_at : where the regime's inputs lie in the rows that were taken
     """
     output, work, driven = space.flows.origin_output, space.pool.work, inputs_of(space.system)
-    functionals = output.shape[3]
+    first, order = f * driven, output.shape[3] * driven
     if space.mixed != 0:
         gathered = OfLanes(space.lane_output_origins)
-        return curves.origin(gathered, f, functionals, work, inputs_at, driven, still, elapsed)
-    return curves.origin(output[0, flow], f, functionals, work, inputs_at, driven, still, elapsed)
+        return curves.origin(gathered, first, 1, order, work, inputs_at, driven, still, elapsed)
+    return curves.origin(output[0, flow], first, 1, order, work, inputs_at, driven, still, elapsed)
 
 
 @inlined_part

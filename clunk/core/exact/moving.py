@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact import functionals, rows
-from clunk.core.exact.curves import A_THIRD, weighed
+from clunk.core.exact.curves import origin, weighed
 from clunk.core.exact.flows import CROSS, PAIRS, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field, is_still, size_of
 from clunk.core.jit import inlined_part, part
@@ -41,8 +41,7 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
     work, away, size, states = space.pool.work, space.moved, size_of(space), space.flows.coordinates.shape[2]
     inputs, driven = space.inputs_at, inputs_of(space.system)
     for k in range(states):
-        origin = weighed(work, inputs, origins, k, size, driven)
-        vectors.store(away, k, vectors.load(work, k) - origin)
+        vectors.store(away, k, vectors.load(work, k) - weighed(work, inputs, origins, k, size, driven))
     for c in range(size):
         total = vectors.splat(0.0)
         for k in range(states):
@@ -72,20 +71,13 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 @part
 def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> None:
     """The states of the runs taken, into `space.moved`."""
-    work, left, size, elapsed = space.pool.work, space.moved, size_of(space), field(space, rows.ELAPSED)
-    inputs, driven, order = space.inputs_at, inputs_of(space.system), inputs_of(space.system) * size
-    half = 0.5 * elapsed * elapsed
-    sixth = half * elapsed * A_THIRD
+    work, size, elapsed, driven = space.pool.work, size_of(space), field(space, rows.ELAPSED), inputs_of(space.system)
     for n in range(space.flows.coordinates.shape[2]):
-        origin = weighed(work, inputs, origins, n, size, driven)
-        if not still:
-            origin += weighed(work, inputs, origins, order + n, size, driven) * elapsed
-            origin += weighed(work, inputs, origins, 2 * order + n, size, driven) * half
-            origin += weighed(work, inputs, origins, 3 * order + n, size, driven) * sixth
+        at = origin(origins, n, size, driven * size, work, space.inputs_at, driven, still, elapsed)
         away = vectors.splat(0.0)
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)
-        vectors.store(left, n, origin + away)
+        vectors.store(space.moved, n, at.value + away)
 
 
 @inlined_part

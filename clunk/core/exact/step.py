@@ -6,8 +6,7 @@ probably pass, the guards are expanded into their Taylor series over it, whose f
 
 What is not done, for it would buy too little: taking the fastest pairs of modes out of the guards, with the most that
 they can add subtracted instead, lets longer spans pass, but costs about as much time as it saves (load x lash and a car
-0.96 of the time, ramps 1.05, two lashes 1.04); expanding the guards of one functional that are near in other lanes as
-one series, likewise.
+0.96 of the time, ramps 1.05, two lashes 1.04).
 
 Between its parts a step keeps rows of lanes: OF_OUTPUT in `outputs` for each functional, OF_GUARD in `guards` for each
 guard. Guards of one functional share its rows, those from `first_alike * OF_OUTPUT` on.
@@ -319,12 +318,25 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     shortest, zero = shortest_span(space, flow), vectors.splat(0.0)
     event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
-        start, order = load_curve(space.guards, n * OF_GUARD + _START), _zero_order(space, n)
-        near = there & (~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (order >= 2.0))
+        start = load_curve(space.guards, n * OF_GUARD + _START)
+        near = ~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (_zero_order(space, n) >= 2.0)
+        space.near[n] = there & near
+    for n in range(count):
+        guard = system.guards[regime, n]
+        near, number, sign, shift, scale, order = 0, zero, zero, zero, zero, zero
+        for m in range(n, count):  # guards of one functional are seldom near in the same lane: one series does for all
+            if system.guards[regime, m].first_alike == guard.first_alike:
+                lanes = space.near[m] & ~near
+                near |= lanes
+                space.near[m] &= ~lanes
+                number = vectors.choose(lanes, float(m), number)
+                sign = vectors.choose(lanes, _sign(space, regime, m), sign)
+                shift = vectors.choose(lanes, _shift(space, m), shift)
+                of_this = _scale(space, regime, m) if lash_of(system, regime, m) >= 0 else vectors.magnitude(shift)
+                scale = vectors.choose(lanes, of_this, scale)
+                order = vectors.choose(lanes, _zero_order(space, m), order)
         if near == 0:
             continue
-        sign, shift, guard = _sign(space, regime, n), _shift(space, n), system.guards[regime, n]
-        scale = _scale(space, regime, n) if lash_of(system, regime, n) >= 0 else vectors.magnitude(shift)
         origin = _origin(space, flow, guard.functional)
         functionals.expand(space, flow, guard.functional, sign, shift, origin)
         sway = vectors.load(space.outputs, guard.first_alike * OF_OUTPUT + _SWAY)
@@ -338,7 +350,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         grazing |= grazes
         event, part = vectors.choose(known < part, -1.0, event), known
         crosses &= (event < 0.0) | (s < part)
-        event, part = vectors.choose(crosses, float(n), event), vectors.choose(crosses, s, part)
+        event, part = vectors.choose(crosses, number, event), vectors.choose(crosses, s, part)
     return event, part, lost, grazing
 
 

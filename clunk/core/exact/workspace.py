@@ -102,6 +102,7 @@ class Workspace(NamedTuple):
     outputs: FloatArray  # (G OF_OUTPUT, W)  see clunk.core.exact.step
     guards: FloatArray  # (G OF_GUARD, W)
     accelerations: FloatArray  # (L OF_ACCELERATION, W)
+    near: IntArray  # (G,)  lanes in which a guard may turn negative within the shortest span
     may_widen: IntArray  # (L,)  lanes in which it can exceed what its window holds
     series: FloatArray  # (TERMS, W)
     amplitudes: FloatArray  # (C/2, W)  of the items that have been taken
@@ -171,6 +172,7 @@ def make_workspace(
         outputs=aligned(most * OF_OUTPUT, WIDTH),
         guards=aligned(most * OF_GUARD, WIDTH),
         accelerations=aligned(lashes * OF_ACCELERATION, WIDTH),
+        near=np.zeros(most, np.int64),
         may_widen=np.zeros(lashes, np.int64),
         series=aligned(TERMS, WIDTH),
         amplitudes=aligned(size // 2, WIDTH),

@@ -92,28 +92,16 @@ def _loaded(builder: Any, pointer: Any) -> Any:
     return lanes
 
 
-def _marked(attributes: tuple[str, ...], alignment: int) -> Any:
-    """Mark the calling function."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        for attribute in attributes:
-            builder.function.attributes.add(attribute)
-        builder.function.attributes.alignstack = alignment
-        return context.get_dummy_value()
-
-    return types.void(), emit
-
-
 @_operation
 def align_stack(typing: Any) -> Any:
     """Let what the calling function keeps on the stack lie where a register's worth of memory begins."""
-    return _marked(("noinline",), 8 * ROW)  # llvmlite writes alignstack only beside another
 
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        builder.function.attributes.add("noinline")  # llvmlite writes alignstack only beside another
+        builder.function.attributes.alignstack = 8 * ROW
+        return context.get_dummy_value()
 
-@_operation
-def stay_apart(typing: Any) -> Any:
-    """Mark the calling function noinline and cold: what it is seldom called for is not to slow its callers."""
-    return _marked(("noinline", "cold"), 0)
+    return types.void(), emit
 
 
 @_operation
@@ -131,18 +119,15 @@ def load(typing: Any, array: Any, row: Any) -> Any:
 def number(typing: Any, table: Any, k: Any) -> Any:
     """Element k of a table: a float of an array, and lanes of `OfLanes`; k not negative."""
 
+    has_lanes = isinstance(table, types.BaseNamedTuple)
+
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, values[0]).data
-        return builder.load(builder.gep(data, [values[1]]))
+        if has_lanes:
+            first, rows = builder.mul(values[1], _INT(WIDTH)), builder.extract_value(values[0], 0)
+            return _loaded(builder, _at(context, builder, table[0], rows, first))
+        return builder.load(_at(context, builder, table, values[0], values[1], ir.DoubleType()))
 
-    def emit_lanes(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        first = builder.mul(values[1], _INT(WIDTH))
-        rows = builder.extract_value(values[0], 0)
-        return _loaded(builder, _at(context, builder, signature.args[0][0], rows, first))
-
-    if isinstance(table, types.BaseNamedTuple):
-        return _LANES(table, types.intp), emit_lanes
-    return types.float64(table, types.intp), emit
+    return (_LANES if has_lanes else types.float64)(table, types.intp), emit
 
 
 @_operation
