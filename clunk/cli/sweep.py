@@ -98,6 +98,8 @@ def sweep(
         failed = _report(result, job, as_json)
         if traces:
             _trace(job, result, study, lash, workers)
+        if not job.is_complete:
+            terminal.say_written(target)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
@@ -137,7 +139,7 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
         runs = (job.ran - taken_up) * (draws + 1)  # and nominally
         rate = f" ({runs / job.seconds:,.0f} runs/s)" if runs > 0 and job.seconds > 0.0 else ""
         each = f" x {draws:,} draws" if draws else ""
-        click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s{rate} -> {job.path}", err=True)
+        click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s{rate}", err=True)
     terminal.report_failures(result, " for some draws" if draws else "")
     for caveat in result.caveats:
         terminal.complain(f"note: {caveat}")
