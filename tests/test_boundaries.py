@@ -101,6 +101,13 @@ def test_feet_are_those_of_the_linear_chain(coarse):
     assert max(gap for _, gap in feet) <= 1e-7 * 20.0
 
 
+def test_feet_are_located_with_the_runs_that_rk4_has():
+    """At a foot runs have touches without end, each 50 of which count as a run: there are none to spare."""
+    network = clunk.sweep(clunk.load_study(ROOT / "configs/smoke.toml"), boundaries=True).boundaries
+    feet = [point for point, labels in network.meetings if len(labels) == 3]
+    assert [ratio for ratio, _ in feet] == pytest.approx(feet_of_figure_3_4()[:3].tolist(), rel=1e-6)
+
+
 def test_chords_are_near_their_curves(coarse):
     """Beside the middle of a chord, 2e-4 of the map away, the labels are those of its sides."""
     swept = figure(41)

@@ -219,14 +219,14 @@ class Lines:
         lines, ends, runs = self._crossings(keys)
         edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
         single, several = counts == 1, counts > 1
-        every, brackets = (
-            np.append(self.keys, keys[edges[single]]),
-            np.concatenate([self.brackets, ends[begins[single]]]),
-        )
-        order = np.argsort(every)
-        self.keys, self.brackets = every[order], brackets[order]
-        middle = (begins + counts // 2 - 1)[several]
-        self.triangles.add(keys[edges[several]], 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle])
+        self._keep(keys[edges[single]], ends[begins[single]])
+        left, middle = keys[edges[several]], (begins + counts // 2 - 1)[several]
+        begin, rest = ends_of(left)
+        nodes = len(self.triangles.runs) + np.arange(left.size)
+        self.triangles.add(left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle])
+        is_first, is_last = counts[several] < 4, counts[several] == 2
+        self._keep(keys_of(begin, nodes)[is_first], ends[middle[is_first]])
+        self._keep(keys_of(rest, nodes)[is_last], ends[middle[is_last] + 1, ::-1])
         return bool(several.any())
 
     def _crossings(self, keys: Codes) -> tuple[Codes, Floats, Points]:
@@ -258,6 +258,12 @@ class Lines:
         ends = np.stack([low["value"], high["value"]], axis=1)
         return low["cell"], place(low["cell"][:, None], ends), high
 
+    def _keep(self, keys: Codes, brackets: Floats) -> None:
+        """Keep crossings: keys of the edges (n,), and brackets (n, 2, 2) from the first node on."""
+        every = np.concatenate([self.keys, keys])
+        order = np.argsort(every)
+        self.keys, self.brackets = every[order], np.concatenate([self.brackets, brackets])[order]
+
     def _refine(self) -> bool:
         """Add nodes on edges of new triangles whose lines are not told well enough; returns whether there are any."""
         two, three = self.triangles.mixed(only_new=True)
@@ -277,7 +283,7 @@ class Lines:
         to_far_end = away[np.arange(len(longest)), np.argmax(_length(away), axis=1)]
         places = np.concatenate([positions[two[:, 1:]].mean(axis=1), crossing + _BESIDE * to_far_end])
         keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], longest]).T), return_index=True)
-        self.triangles.add(keys, places[at], self._run(places[at]))
+        self._cut(keys, places[at], self._run(places[at]))
         return True
 
     def _is_off_chord(self, corners: Nodes) -> Bools:
@@ -303,6 +309,21 @@ class Lines:
         labels = self._run(places.reshape(-1, 2))["outcome"].reshape(-1, 2)
         is_off[asked] = (labels != self.triangles.outcome[corners[asked, :2]]).any(axis=1)
         return is_off
+
+    def _cut(self, keys: Codes, places: Floats, runs: Points) -> None:
+        """Add a node on each of these edges; a known crossing is then on the part whose ends differ."""
+        nodes, (first, second) = len(self.triangles.runs) + np.arange(keys.size), ends_of(keys)
+        self.triangles.add(keys, places, runs)
+        known = np.flatnonzero(np.isin(keys, self.keys))
+        brackets = self.brackets[np.searchsorted(self.keys, keys[known])]
+        nodes, first, second, labels = nodes[known], first[known], second[known], runs["outcome"][known]
+        begin, outcome = self.triangles.positions[first], self.triangles.outcome
+        distances = _length(brackets - begin[:, None])
+        distance = _length(places[known] - begin)
+        is_before = (labels == outcome[second]) & (distances[:, 1] <= distance)
+        is_behind = (labels == outcome[first]) & (distance <= distances[:, 0])
+        self._keep(keys_of(first, nodes)[is_before], brackets[is_before])
+        self._keep(keys_of(second, nodes)[is_behind], brackets[is_behind, ::-1])
 
     def _wide(self) -> Nodes:
         """Triangles with an edge whose crossing is not located, (n, 3)."""
