@@ -72,6 +72,15 @@ def test_a_map_is_printed_with_a_letter_for_each_cell(command, small, monkeypatc
     assert command("info", "results/small.h5", "--map", "--json")[0] == 2
 
 
+@pytest.mark.parametrize("values", [[5.0], [4.8765, 5.1234]], ids=len)
+def test_a_map_of_few_cells_is_printed_under_values_longer_than_it_is_wide(command, small, values):
+    axes = ["--set", f"sweep.axes[1].values={values}", "--set", "sweep.axes[2].values=[6.0]"]
+    command("sweep", small, *axes)
+    code, out, _ = command("info", "results/small.h5", "--map")
+    assert code == 0
+    assert re.search(rf"\|a+\n +{values[0]:.4g} +{values[-1]:.4g}\n +load.ratio", out)
+
+
 def test_runs_that_are_cut_off_are_announced(command, small):
     """A hundredth of a second after the load step nothing has happened; without a change of load nothing will."""
     for times in range(2):

@@ -99,11 +99,11 @@ def info(file: Path, show_config: bool, show_map: bool, check: bool, as_json: bo
 
 
 def _is_drawable(axes: Sequence[ResultAxis]) -> bool:
-    """Whether one or two axes have several values, and of two neither is that of the runs, which have no order."""
+    """Whether at most two axes have several values, and of two neither is that of the runs, which have no order."""
     from clunk.study.axes import RUN
 
     names = [axis.parameter for axis in axes if len(axis.values) > 1]
-    return len(names) == 1 or (len(names) == 2 and RUN not in names)
+    return len(names) < 2 or (len(names) == 2 and RUN not in names)
 
 
 def _text_map(results: AnyMap) -> list[str]:
@@ -116,7 +116,7 @@ def _text_map(results: AnyMap) -> list[str]:
 
     from clunk.results.labels import FAILED
 
-    swept = [axis for axis in results.axes if len(axis.values) > 1]
+    swept = [axis for axis in results.axes if len(axis.values) > 1] or [results.axes[0]]
     codes = results.sequence.reshape([len(axis.values) for axis in swept])
     if len(swept) == 2 and swept[1].parameter == "load.ratio":
         swept, codes = swept[::-1], codes.T
@@ -134,7 +134,7 @@ def _text_map(results: AnyMap) -> list[str]:
     for tick, of_row in zip(ticks, shown.T.tolist(), strict=True):
         lines.append(f"{tick:>{margin}} |{''.join(symbols[name] * wide for name in of_row)}")
     first, last = (f"{x.values[columns[k]]:.4g}" for k in (0, -1))
-    below = f"{first:<{len(columns) * wide - len(last)}} {last}", _heading(x)
+    below = f"{first:<{max(len(columns) * wide - len(last), 0)}} {last}", _heading(x)
     lines += [" " * (margin + 2) + line for line in below]
     legend = fill("   ".join(f"{symbols[name]}{_NO_BREAK}{name}" for name in labels))
     return [*lines, "", *legend.replace(_NO_BREAK, " ").splitlines()]
