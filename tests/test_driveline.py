@@ -47,6 +47,11 @@ def test_the_open_chain_can_drift(nominal):
     assert modes.overdamped[1] > 1.0
 
 
+def test_an_inertia_between_rigid_flanks_has_no_modes_where_they_hold_it():
+    ball = reference.Plant((0.5,), (), (1, "ground"), acceleration_of=1, restitution=0.5)
+    assert Driveline.from_study(reference.study_of(ball)).modes(closed=True).frequency.size == 0
+
+
 def test_the_thresholds_are_those_of_table_3_1(nominal):
     """1.46, 3.13, 6.69 and 14.32 in the report; with the first mode's damping ratio, one more digit each."""
     assert one_mode_thresholds(nominal) == pytest.approx([1.463, 3.129, 6.693, 14.317], abs=6e-4)
