@@ -144,26 +144,19 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
 @inlined_part
 def _follow(space: Workspace, slot: int) -> None:
     """Send a run on: end its phase, or take the next step."""
-    row = space.runs[slot]
+    row, system = space.runs[slot], system_of(space, slot)
     now = row.time + space.numbers[slot, space.behind + rows.ELAPSED]
-    if row.ended == rows.BY_EVENT:
+    if row.ended == rows.AT_END:
+        now = end_of_piece(system, space.loads[row.load], row.piece)
+    if row.ended == rows.BY_EVENT or (row.ended == rows.AT_END and now < system.end_time[0]):
         _end_phase(space, slot, now)
-    elif row.ended == rows.SETTLED:
-        row.quality |= QUALITY_COMPLETE
-        _end(space, slot, _OK, now)
-    elif row.ended == rows.AT_END:
-        system = system_of(space, slot)
-        end = end_of_piece(system, space.loads[row.load], row.piece)
-        if end < system.end_time[0]:
-            _end_phase(space, slot, end)
-        else:
-            _end(space, slot, _OK, end)
-    elif row.ended == rows.LOST:
-        _end(space, slot, _NON_FINITE, now)
-    else:
+    elif row.ended == rows.GOES_ON or row.ended == rows.NEARS:
         entered = space.system.regimes[row.regime]
         short = row.ended == rows.NEARS or space.flows.modal[0, entered.flow] == 0
         push(space.pool, (space.queues.short if short else space.queues.span) + entered.group, slot)
+    else:
+        row.quality |= QUALITY_COMPLETE if row.ended == rows.SETTLED else 0
+        _end(space, slot, _NON_FINITE if row.ended == rows.LOST else _OK, now)
 
 
 @inlined_part
