@@ -14,8 +14,8 @@ Both methods share the system, its guards, the preload, what happens at an event
 the label. They differ in how they flow, locate events and extremes, and know that a run is over. That they agree says
 nothing of what they share; `tests/helpers/reference.py`, which shares nothing, checks that.
 
-`rk4`: `run` (a run from the load step to its end), `step` and `quartic` (one short step with everything in it located),
-`propagator` (full steps as matrices), `settling` (when a run is over).
+`rk4`: `run` (a run from the load step to its end, and when it is over), `step` and `quartic` (one short step with
+everything in it located), `propagator` (full steps as matrices).
 
 `exact`: `run` (a run, and what it does at an event), `step` (propose a span, prove it, or find the event), `search`
 (what is looked for within a step), `curves` (functionals and their bounds), `moving` (along the modes), `taylor`

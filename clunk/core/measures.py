@@ -48,8 +48,7 @@ class Room(NamedTuple):
     moved: FloatArray  # (2, Z)
     series: FloatArray  # (C, TERMS)  of each channel
     inputs: FloatArray  # (I,)  d
-    low: FloatArray  # (C,)  range of each channel so far
-    high: FloatArray  # (C,)
+    ranges: FloatArray  # (C, 2)  the least and the largest value of each channel so far
     first: IntArray  # (L + 1,)  the row of each lash's first primary impact
     row: IntArray  # (L,)  and of its last one so far, the row before that where there is none
     systems: IntArray  # (D, …)  of each driveline, see `references.rows_of`
@@ -79,8 +78,7 @@ def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray,
         moved=np.zeros((2, size)),
         series=np.zeros((count, TERMS)),
         inputs=np.ones(system.weights.shape[1]),
-        low=np.zeros(count),
-        high=np.zeros(count),
+        ranges=np.zeros((count, 2)),
         first=np.zeros(lashes + 1, np.int64),
         row=np.zeros(lashes, np.int64),
         systems=rows_of(system, each),
@@ -131,7 +129,7 @@ def _measure(
         written += 1
     set_gaps(system, cases.before[k], room.inputs)
     begin_wave(system, load, 0, x)
-    room.low[:], room.high[:] = np.inf, -np.inf
+    room.ranges[:, 0], room.ranges[:, 1] = np.inf, -np.inf
     for lash in range(lashes):
         room.row[lash] = room.first[lash] - 1
     for e in range(written):
@@ -160,7 +158,7 @@ def _measure(
         for j in range(OF_IMPACTS):
             totals[lash, j] = root_of_squares(room.of_impacts[first:last, j], last - first)
         for m in range(channels.swings.size):
-            low, high = room.low[OF_LASH * lashes + m], room.high[OF_LASH * lashes + m]
+            low, high = room.ranges[OF_LASH * lashes + m, 0], room.ranges[OF_LASH * lashes + m, 1]
             totals[lash, OF_IMPACTS + m] = high - low if channels.swings[m] else max(-low, high)
 
 
@@ -184,7 +182,7 @@ def _add_event(
     lash = event.lash
     following, torque = row[lash] + 1, OF_LASH * lash + CONTACT_TORQUE
     if event.kind == TOUCH and following < first[lash + 1] and impacts[following].time == event.time:
-        row[lash], room.low[torque], room.high[torque] = following, 0.0, 0.0
+        row[lash], room.ranges[torque, 0], room.ranges[torque, 1] = following, 0.0, 0.0
     if system.impulsive != 0:
         if event.kind != TOUCH or (e + 1 < events.size and _are_one_impact(events, states, e)):
             return
@@ -229,7 +227,7 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
     length, rows = channels.lengths[driveline, flow], channels.series[driveline, flow]
     while elapsed < span:
         level = LEVELS - 1
-        for c in range(room.low.size):
+        for c in range(len(room.ranges)):
             if c // OF_LASH >= lashes or _bears(system, regime, c // OF_LASH, room):
                 _expand(rows[c], z, room.series[c])
                 while level > 0 and not _is_smooth(room.series[c], 2.0**level):
@@ -245,12 +243,10 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
             damped = length * _integral(room.series[OF_LASH * lash + CLOSING], share, 2)
             values[ENERGY] += channels.contact_damping[driveline, lash] * damped
             values[IMPULSE] += contact.side * length * _integral(room.series[torque], share, 1)
-            room.low[torque], room.high[torque] = _widened(
-                room.series[torque], share, room.low[torque], room.high[torque]
-            )
-            values[PEAK_TORQUE] = room.high[torque] if contact.side > 0 else -room.low[torque]
-        for c in range(OF_LASH * lashes, room.low.size):
-            room.low[c], room.high[c] = _widened(room.series[c], share, room.low[c], room.high[c])
+            _widen(room.series[torque], share, room.ranges[torque])
+            values[PEAK_TORQUE] = room.ranges[torque, 1] if contact.side > 0 else -room.ranges[torque, 0]
+        for c in range(OF_LASH * lashes, len(room.ranges)):
+            _widen(room.series[c], share, room.ranges[c])
         if share < 1.0:
             _move_within(channels.rates[driveline, flow], share, room)
             break
@@ -343,8 +339,8 @@ def _integral(series: FloatArray, length: float, power: int) -> float:
 
 
 @part
-def _widened(series: FloatArray, length: float, low: float, high: float) -> tuple[float, float]:
-    """The range from `low` to `high`, widened by all values of a polynomial from 0 to `length`.
+def _widen(series: FloatArray, length: float, ranges: FloatArray) -> None:
+    """Widen a range, (2,), by all values of a polynomial from 0 to `length`.
 
     Turns are where the slope changes its sign from one of _PLACES to the next; of two between the same ones, which are
     nearly as high as these, nothing is known.
@@ -353,8 +349,9 @@ def _widened(series: FloatArray, length: float, low: float, high: float) -> tupl
     for k in range(1, series.size):
         power *= length
         reach += abs(series[k]) * power
+    low, high = ranges[0], ranges[1]
     if low <= series[0] - reach and series[0] + reach <= high:
-        return low, high
+        return
     end, slope = _value_at(series, length), series[1]
     low, high = min(low, series[0], end), max(high, series[0], end)
     for n in range(_PLACES):
@@ -370,4 +367,4 @@ def _widened(series: FloatArray, length: float, low: float, high: float) -> tupl
             turn = _value_at(series, first)
             low, high = min(low, turn), max(high, turn)
         slope = following
-    return low, high
+    ranges[0], ranges[1] = low, high

@@ -285,8 +285,6 @@ def by_exact(
                 continue
             begins[k - first] = written
             written += primaries
-            while oldest < admitted and begins[oldest - first] >= 0:
-                oldest += 1
         pool.length[over] = 0
     return oldest
 

@@ -23,16 +23,14 @@ def bisect(p: Quartic, low: float, high: float) -> float:
     Returns the end on `low`'s side: p has not changed sign yet there.
     """
     negative = evaluate(p, high) < 0.0
-    for _ in range(1100):  # halving reaches neighbours in about 60 steps; a zero at `low` = 0 takes down to denormals
+    while high > 1e-40:  # far below any time scale of a driveline [s]
         middle = 0.5 * (low + high)
-        if middle <= low or middle >= high:
+        if not low < middle < high:
             break
         if (evaluate(p, middle) < 0.0) == negative:
             high = middle
         else:
             low = middle
-        if high < 1e-40:  # far below any time scale of a driveline [s]
-            break
     return low
 
 

@@ -16,7 +16,6 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, frictions_of, lashes_of, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
-from clunk.core.rk4.settling import settled
 from clunk.core.rk4.step import Room, enter, expand, finish, first_event, widen_extremes
 from clunk.core.runs import (
     BEGIN,
@@ -31,8 +30,10 @@ from clunk.core.runs import (
     roll_states,
     set_torque,
 )
+from clunk.core.sequence import find_primaries
+from clunk.core.severity import window_extremes
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch
+from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch, weigh
 from clunk.core.tables import ACCELERATION
 
 _OK = int(Status.OK)
@@ -121,7 +122,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 if stop[0] != 0:
                     return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
-                    over = settled(system, steps, entry.regime, start.regime, room, room.z, log, entry.written)
+                    over = _is_settled(system, steps, entry.regime, start.regime, room, room.z, log, entry.written)
             for k in range(x.size):
                 x[k] = room.z[k]
             if over:
@@ -152,6 +153,69 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         stages += entry.written == written
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
+
+
+@part
+def _is_settled(
+    system: System,
+    steps: Steps,
+    regime: int,
+    first_regime: int,
+    room: Room,
+    x: FloatArray,
+    log: Log,
+    count: int,
+) -> bool:
+    """Whether no event follows, and no acceleration beyond the extremes of the open windows.
+
+    Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever. That
+    is proved for whole steps, and within them looked at in eight places. The first regime tells the initial flanks.
+    """
+    flow = system.regimes[regime].flow
+    if steps.provable[flow] == 0:
+        return False
+    reach, primaries = room.reach, room.primaries
+    _reach(steps, flow, room, x, reach)
+    for guard in range(system.regimes[regime].guards):
+        functional = system.guards[regime, guard].functional
+        at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed)
+        if not at_rest + room.shift[guard] > (1.0 + 1e-9) * reach[functional]:
+            return False
+    if system.impulsive != 0:  # nothing is asked of the acceleration
+        return True
+    for lash in range(lashes_of(system)):
+        side = system.contacts[first_regime, lash].side
+        impacts = find_primaries(log.events, count, lash, side, system.sticking_time[lash], primaries)
+        if impacts > 0:  # else nothing is asked of the acceleration either
+            largest, smallest = window_extremes(log.extremes[:, lash], primaries[impacts - 1], count)
+            acceleration = lash * system.functionals_per_lash + ACCELERATION
+            at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed)
+            swing = (1.0 + 1e-9) * reach[acceleration]
+            if not (largest >= at_rest + swing and smallest <= at_rest - swing):
+                return False
+    return True
+
+
+@part
+def _reach(steps: Steps, flow: int, room: Room, x: FloatArray, reach: FloatArray) -> None:
+    """How far each functional can get from its rest value from now on, into `reach`: its modes' amplitudes, summed."""
+    size, watched = steps.mode_reach.shape[2], steps.mode_reach.shape[1]
+    reach[:] = 0.0
+    for mode in range(size):
+        widest = 0.0
+        for functional in range(watched):
+            widest = max(widest, steps.mode_reach[flow, functional, mode])
+        if widest == 0.0:
+            continue  # the other one of a complex pair, or without effect on anything that is watched
+        total = 0j
+        for k in range(size):
+            away = x[k]
+            for j in range(room.weighed.size):
+                away -= steps.rest_state[flow, k, j] * room.weighed[j]
+            total += steps.mode_rows[flow, mode, k] * away
+        amplitude = np.sqrt(total.real * total.real + total.imag * total.imag)
+        for functional in range(watched):
+            reach[functional] += amplitude * steps.mode_reach[flow, functional, mode]
 
 
 @part

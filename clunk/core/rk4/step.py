@@ -33,7 +33,7 @@ class Room(NamedTuple):
     block_affine: FloatArray  # and to a block of them
     z: FloatArray  # the state, padded, and its outputs
     after: FloatArray  # the same after a step or a block
-    # scratch of `settling`
+    # scratch of what tells that a run is over
     reach: FloatArray  # (F,)
     primaries: IntArray  # (capacity,)
 
