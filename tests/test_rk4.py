@@ -8,7 +8,7 @@ from helpers import reference
 from helpers.agreement import exact, kinds_of
 
 from clunk.core.rk4.propagator import rk4_growth
-from clunk.simulation import driveline
+from clunk.simulation import batches
 from clunk.simulation.trajectory import simulate
 from clunk.study.errors import ClunkError
 
@@ -138,13 +138,13 @@ def test_stopping_early_changes_nothing(contact, monkeypatch):
     """What is proved complete stays so: five times the end time adds no event and no acceleration."""
     plants = [reference.boere(ratio, gap, **contact) for ratio in (0.0, 2.5, 5.0, 10.0) for gap in (0.0, 6.0, 16.0)]
     early = [stepped(plant) for plant in plants]
-    prepare = driveline.prepare
+    prepare = batches.prepare
 
-    def unproved(study):
-        system, tables = prepare(study)
+    def unproved(study, line):
+        system, tables = prepare(study, line)
         return system, tables._replace(provable=np.zeros_like(tables.provable))
 
-    monkeypatch.setattr(driveline, "prepare", unproved)
+    monkeypatch.setattr(batches, "prepare", unproved)
     for plant, short in zip(plants, early, strict=True):
         whole = simulate(reference.study_of(plant, end_time=10.0, method="rk4"))
         assert short.complete
@@ -152,3 +152,4 @@ def test_stopping_early_changes_nothing(contact, monkeypatch):
         assert np.array_equal(short.states, whole.states)
         assert np.array_equal(short.impact_severity, whole.impact_severity, equal_nan=True)
         assert short.label == whole.label
+    batches.prepare_one.cache_clear()

@@ -23,7 +23,7 @@ from clunk.core.regimes import (
     opened,
     speed_of,
 )
-from clunk.core.runs import Entry, Moment, record
+from clunk.core.runs import Entry, Log, Moment, record
 from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
@@ -33,7 +33,7 @@ _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part
 
 
 @part
-def strike(at: Moment, regime: int, guard: int, speed: float, count: int, fastest: FloatArray) -> Entry:
+def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: int, fastest: FloatArray) -> Entry:
     """A touch of the restitution model, and the lock that may follow it at once.
 
     Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
@@ -44,7 +44,7 @@ def strike(at: Moment, regime: int, guard: int, speed: float, count: int, fastes
     system, x = at.system, at.x
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
     fastest[lash] = max(fastest[lash], abs(speed))
-    regime = opened(system, _resting_on(at, regime, count), lash)
+    regime = opened(system, _resting_on(at, log, regime, count), lash)
     slowest, before = _locking_speed(at, regime, lash, fastest[lash]), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
     held = held_with(system, regime, lash)
@@ -54,9 +54,9 @@ def strike(at: Moment, regime: int, guard: int, speed: float, count: int, fastes
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
             _part_by(ROUNDING, at, held, other, system.contacts[before, other].side)
             regime = opened(system, regime, other)
-    events = at.log.events
+    events = log.events
     events[count].lash, events[count].speed, events[count].side = lash, speed, side
-    touches = events[count : _note_touches_beside(at, before, lash, rebounds, count, fastest)]
+    touches = events[count : _note_touches_beside(at, log, before, lash, rebounds, count, fastest)]
     _strike_together(system, held, rebounds, x, touches)
     touched, resting = 0, held
     for touch in touches:
@@ -67,27 +67,29 @@ def strike(at: Moment, regime: int, guard: int, speed: float, count: int, fastes
         regime = rubbing.in_motion(system, regime, abs(speed), x)
         rubbing.stick_all(system, x, at.inputs)
     for touch in touches:
-        record(at, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
+        record(at, log, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
         count += 1
     for other in range(lashes_of(system)):
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
-            record(at, count, 0.0, SEPARATION, regime, other, system.contacts[before, other].side)
+            record(at, log, count, 0.0, SEPARATION, regime, other, system.contacts[before, other].side)
             count += 1
     if rebounds:
         return Entry(count, regime, _touch_of(system, regime, lash, side), 1)
     for touch in touches:
         regime = system.guards[regime, _touch_of(system, regime, touch.lash, touch.side)].successor
-    return enter_chosen(at, regime, -1, touched, count)
+    return enter_chosen(at, log, regime, -1, touched, count)
 
 
 @part
-def _note_touches_beside(at: Moment, regime: int, lash: int, rebounds: bool, count: int, fastest: FloatArray) -> int:
+def _note_touches_beside(
+    at: Moment, log: Log, regime: int, lash: int, rebounds: bool, count: int, fastest: FloatArray
+) -> int:
     """Write lash, speed and side of the other open lashes that touch at the same time, as those of equal branches do.
 
     Of these, the ones that rebound, or do not, as the lash itself. They are behind the event `count`, its touch.
     Returns how many events there are then.
     """
-    system, events = at.system, at.log.events
+    system, events = at.system, log.events
     for other in range(lashes_of(system)):
         twist, size = rubbing.twist_of(system, system.lashes[other], at.x)
         its_speed = speed_of(system, other, at.x)
@@ -173,7 +175,7 @@ def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
 
 
 @part
-def release(at: Moment, regime: int, guard: int, count: int) -> Entry:
+def release(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
     """A separation of the restitution model; without a gap the flanks lock on the other side at once.
 
     Where several lashes are closed or frictions stick, those part that can, whichever one's torque turned first.
@@ -181,42 +183,42 @@ def release(at: Moment, regime: int, guard: int, count: int) -> Entry:
     system, row, lash = at.system, at.system.guards[regime, guard], lash_of(at.system, regime, guard)
     side, half_gap = row.side, at.inputs[gap_input(lash)]
     if half_gap > 0.0:
-        return enter_chosen(at, regime, guard, 0, count)
+        return enter_chosen(at, log, regime, guard, 0, count)
     _hold(system, held_with(system, regime, lash), lash, at.x, side * half_gap)
-    record(at, count, 0.0, row.event_kind, row.successor, lash, side)
+    record(at, log, count, 0.0, row.event_kind, row.successor, lash, side)
     free = opened(system, regime, lash)
     successor = free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * system.regime_strides[lash]
-    record(at, count + 1, 0.0, TOUCH, free, lash, -side)
-    record(at, count + 2, 0.0, LOCK, successor, lash, -side)
+    record(at, log, count + 1, 0.0, TOUCH, free, lash, -side)
+    record(at, log, count + 2, 0.0, LOCK, successor, lash, -side)
     return Entry(count + 3, successor, 0, 1)
 
 
 @part
-def enter_chosen(at: Moment, regime: int, ended: int, touched: int, count: int) -> Entry:
+def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, count: int) -> Entry:
     """Entry into the regime of `rubbing.choose_states`, with the events that this makes.
 
     touched : int
         The lashes that touch at this moment, as bits, which lock or never were closed.
     """
-    system, before = at.system, _resting_on(at, regime, count)
+    system, before = at.system, _resting_on(at, log, regime, count)
     successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
     for lash in range(lashes_of(system)):
         is_closed = system.contacts[successor, lash].closed != 0
         if touched >> lash & 1 and (is_closed or rubbing.is_carried(at, successor, lash)):
-            record(at, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
+            record(at, log, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
             count += 1
-    entry = _part(at, before, touched, Entry(count, successor, zero_guard, zero_order))
+    entry = _part(at, log, before, touched, Entry(count, successor, zero_guard, zero_order))
     count = entry.written
-    if at.log.states.shape[0] > 0 and at.log.events[count - 1].regime != successor:
-        record(at, count, 0.0, STAGE, successor, -1, 0)
+    if log.states.shape[0] > 0 and log.events[count - 1].regime != successor:
+        record(at, log, count, 0.0, STAGE, successor, -1, 0)
         count += 1
     return Entry(count, successor, entry.zero_guard, entry.zero_order)
 
 
 @part
-def _resting_on(at: Moment, regime: int, count: int) -> int:
+def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
     """The regime with those lashes closed that have not separated, as the log tells, and whose flanks others hold."""
-    system, events = at.system, at.log.events
+    system, events = at.system, log.events
     for lash in range(lashes_of(system) if frictions_of(system) > 0 and system.impulsive != 0 else 0):
         if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(at, regime, lash):
             last = count - 1
@@ -229,7 +231,7 @@ def _resting_on(at: Moment, regime: int, count: int) -> int:
 
 
 @part
-def _part(at: Moment, before: int, touched: int, entry: Entry) -> Entry:
+def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entry:
     """Separations of flanks at rest: of those closed in the regime before, and open in the one that is entered.
 
     touched : int
@@ -254,7 +256,7 @@ def _part(at: Moment, before: int, touched: int, entry: Entry) -> Entry:
     for lash in range(lashes_of(system)):
         contact = system.contacts[before, lash]
         if contact.closed != 0 and not stays >> lash & 1:
-            record(at, count, 0.0, SEPARATION, entry.regime, lash, contact.side)
+            record(at, log, count, 0.0, SEPARATION, entry.regime, lash, contact.side)
             count += 1
     if first < 0:
         return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)

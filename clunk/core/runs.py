@@ -44,7 +44,6 @@ class Moment(NamedTuple):
     time: float  # s after the load step
     x: FloatArray  # (N,)  [rad, rad/s]
     inputs: FloatArray  # (I,)  d; the twists at which frictions begin to stick are written there
-    log: Log
 
 
 class Entry(NamedTuple):
@@ -107,9 +106,9 @@ def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> N
 
 
 @inlined_part
-def record(at: Moment, k: int, speed: float, kind: int, regime: int, lash: int, side: int) -> None:
+def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, lash: int, side: int) -> None:
     """Write event `k`, and the state at it; the extremes of the phase that it opens are still to come."""
-    log, event = at.log, at.log.events[k]
+    event = log.events[k]
     event.time = at.time
     event.speed = speed
     event.kind = kind

@@ -142,12 +142,12 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
     rubbing.stick_all(system, start.x, inputs)
     begin_wave(system, load, piece, start.x)
     set_torque(system, load, piece, 0.0, inputs)
-    record(Moment(system, 0.0, start.x, inputs, log), 0, 0.0, LOAD_STEP, start.regime, -1, side)
+    record(Moment(system, 0.0, start.x, inputs), log, 0, 0.0, LOAD_STEP, start.regime, -1, side)
     return turn_back(system, start.x)
 
 
 @inlined_part
-def may_switch(at: Moment, count: int, stages: int) -> bool:
+def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock.
 
     With these, each other lash may part where it is closed, or touch and lock where it is open. And whether changes of
@@ -160,17 +160,17 @@ def may_switch(at: Moment, count: int, stages: int) -> bool:
         most += 2 * (lashes_of(system) - 1)
     if frictions_of(system) > 0:  # one of them may begin to slip
         most += 1
-    return bool(count + most <= at.log.events.size and stages <= MOST_STAGES)
+    return bool(count + most <= log.events.size and stages <= MOST_STAGES)
 
 
 @inlined_part
-def is_instant(at: Moment, count: int) -> bool:
+def is_instant(at: Moment, log: Log, count: int) -> bool:
     """Whether the phase that the last of so many events began has lasted no time: then it has no extremes."""
-    return elements_of(at.system) > 1 and bool(at.time - at.log.events[count - 1].time < INSTANT)
+    return elements_of(at.system) > 1 and bool(at.time - log.events[count - 1].time < INSTANT)
 
 
 @inlined_part
-def switch(at: Moment, regime: int, guard: int, count: int, fastest: FloatArray) -> Entry:
+def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: FloatArray) -> Entry:
     """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
 
     Parameters
@@ -184,30 +184,30 @@ def switch(at: Moment, regime: int, guard: int, count: int, fastest: FloatArray)
     if row.event_kind == STAGE:
         entry = Entry(count, row.successor, row.zero_guard, row.zero_order)
         if row.successor < 0:
-            entry = rigid.enter_chosen(at, regime, guard, 0, count)
-        if at.log.states.shape[0] > 0 and entry.written == count:
-            record(at, count, 0.0, STAGE, entry.regime, -1, 0)
+            entry = rigid.enter_chosen(at, log, regime, guard, 0, count)
+        if log.states.shape[0] > 0 and entry.written == count:
+            record(at, log, count, 0.0, STAGE, entry.regime, -1, 0)
             return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
         return entry
     lash = lash_of(system, regime, guard)
     speed = speed_of(system, lash, at.x)
     if system.impulsive != 0:
         if row.event_kind == TOUCH:
-            return rigid.strike(at, regime, guard, speed, count, fastest)
-        return rigid.release(at, regime, guard, count)
-    record(at, count, speed, row.event_kind, row.successor, lash, row.side)
+            return rigid.strike(at, log, regime, guard, speed, count, fastest)
+        return rigid.release(at, log, regime, guard, count)
+    record(at, log, count, speed, row.event_kind, row.successor, lash, row.side)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
 
 
 @inlined_part
-def recheck_frictions(at: Moment, entry: Entry) -> Entry:
+def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
     """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped.
 
     State and inputs may change, and events be written, as at a switch.
     """
     if frictions_of(at.system) == 0:
         return entry
-    settled = rigid.enter_chosen(at, entry.regime, -1, 0, entry.written)
+    settled = rigid.enter_chosen(at, log, entry.regime, -1, 0, entry.written)
     if entry.zero_guard < 0:
         return settled
     before = at.system.guards[entry.regime, entry.zero_guard]

@@ -15,7 +15,7 @@ The turns of guards, and how deep they would go, `search` finds within a step.
 from clunk.core.arrays import FloatArray
 from clunk.core.events import OPENING, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import rows
-from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, log_of, system_of
+from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, gap_input, lash_of, lashes_of
 from clunk.core.rigid import holding_torque
@@ -52,7 +52,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
     for lash in range(lashes_of(system)):
         side = system.contacts[regime, lash].side
         if system.impulsive != 0:
-            static = side * holding_torque(Moment(system, 0.0, x, inputs, log_of(space, slot)), regime, lash)[0]
+            static = side * holding_torque(Moment(system, 0.0, x, inputs), regime, lash)[0]
         else:
             static = _overlap(system, lash, side, x, inputs)
         space.courses[slot, lash].static = max(static, 0.0) if status == _OK else 0.0

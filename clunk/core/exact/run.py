@@ -71,7 +71,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     space.numbers[slot, space.kink_at] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     if frictions_of(system) > 0:
         row.count = entry.written
-        entry = recheck_frictions(Moment(system, time, x, inputs, log_of(space, slot)), entry)
+        entry = recheck_frictions(Moment(system, time, x, inputs), log_of(space, slot), entry)
         regime = entry.regime
         if entry.written > row.count:
             _close_phase(space, slot)
@@ -164,7 +164,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     """End a phase by an event, or where another piece of the load begins, and enter what follows."""
     system, row = system_of(space, slot), space.runs[slot]
     x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
-    at = Moment(system, time, x, space.inputs[slot], log_of(space, slot))
+    at, log = Moment(system, time, x, space.inputs[slot]), log_of(space, slot)
     row.rolled += take_rolling(system, x)
     for k in range(x.size):
         total += abs(x[k])
@@ -172,7 +172,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
         _end(space, slot, _NON_FINITE, time)
         return
     switches = by_event or frictions_of(system) > 0
-    if switches and not may_switch(at, row.count, row.stages):
+    if switches and not may_switch(at, log, row.count, row.stages):
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
     set_torque(system, space.loads[row.load], row.piece, time, at.inputs)
@@ -191,13 +191,13 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
 @inlined_part
 def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
     """Switch by the guard that turned negative; take what that says of the run's margin and its windows."""
-    row = space.runs[slot]
+    row, log = space.runs[slot], log_of(space, slot)
     take_margin_of_event(space, slot, at)
-    if is_instant(at, row.count):
+    if is_instant(at, log, row.count):
         for lash in range(lashes_of(at.system)):
             course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
             own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = course.window_max, course.window_min
-    entry = switch(at, row.regime, row.guard, row.count, space.fastest[slot])
+    entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
     if entry.written == row.count:  # a stage that is not written: the phase goes on
         row.stages += 1
     else:

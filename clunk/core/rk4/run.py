@@ -86,7 +86,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         time = begin + index * grid.step + offset
-        entry = recheck_frictions(Moment(system, time, x, inputs, log), entry)
+        entry = recheck_frictions(Moment(system, time, x, inputs), log, entry)
         roll_states(system, rolled, log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)
@@ -137,19 +137,19 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 break
         written = entry.written
         if guard < 0:  # another piece of the load
-            at = Moment(system, begin, x, inputs, log)
-            if frictions_of(system) > 0 and not may_switch(at, written, stages):
+            at = Moment(system, begin, x, inputs)
+            if frictions_of(system) > 0 and not may_switch(at, log, written, stages):
                 return Outcome(_EVENT_BUFFER_FULL, written, 0, begin)
             entry = Entry(written, entry.regime, -1, 0)
             continue
 
         time = begin + index * grid.step + offset
-        at = Moment(system, time, x, inputs, log)
-        if not may_switch(at, written, stages):
+        at = Moment(system, time, x, inputs)
+        if not may_switch(at, log, written, stages):
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
-        if is_instant(at, written):
+        if is_instant(at, log, written):
             extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
-        entry = switch(at, entry.regime, guard, written, room.fastest)
+        entry = switch(at, log, entry.regime, guard, written, room.fastest)
         stages += entry.written == written
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
