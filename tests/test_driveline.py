@@ -7,6 +7,7 @@ from helpers import reference
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import simulate
+from clunk.study.config import study_from_text
 
 
 def test_the_matrices_are_those_of_equation_2_6(nominal):
@@ -48,8 +49,9 @@ def test_the_open_chain_can_drift(nominal):
 
 
 def test_an_inertia_between_rigid_flanks_has_no_modes_where_they_hold_it():
-    ball = reference.Plant((0.5,), (), (1, "ground"), acceleration_of=1, restitution=0.5)
-    assert Driveline.from_study(reference.study_of(ball)).modes(closed=True).frequency.size == 0
+    lash = '{between = [1, "ground"], backlash_deg = 60.0, radius = 0.1, contact = {model = "restitution"}}'
+    ball = f"driveline = {{inertias = [0.5], shafts = []}}\nlash = {lash}\nload = {{static_torque = 5.0, ratio = -2.0}}"
+    assert Driveline.from_study(study_from_text(ball)).modes(closed=True).frequency.size == 0
 
 
 def test_the_thresholds_are_those_of_table_3_1(nominal):

@@ -197,9 +197,8 @@ class Driveline:
         ties = constrained(self.lashes, rigid)
         rates, _ = locked(rates, inputs, self.inertia, self.lashes, rigid)
         every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
-        rounding = 1e-7 * np.abs(every).max(
-            initial=0.0
-        )  # a double zero, an undamped drift, is found to half the digits
+        # a double zero, an undamped drift, is found to half the digits
+        rounding = 1e-7 * np.abs(every).max(initial=0.0)
         order = np.argsort(np.abs(every))
         order = order[every[order].imag > rounding]
         oscillating, monotone = every[order], every[np.abs(every.imag) <= rounding]
