@@ -103,6 +103,7 @@ class Grid:
     layout : of the tiles
     tile_cells : the most cells of a tile
     few_cells : so few, if any, that a signal can wait for them
+    pace : s a cell, once it is known, of those that were run first
     structural : the parameters that differ between the cells and with which the system does
     """
 
@@ -118,6 +119,7 @@ class Grid:
         solver = study.solver
         is_slow = solver.method == "rk4" and solver.end_time > _FEW_STEPS * solver.step
         self.few_cells = 0 if is_slow else min(_FEW, self.tile_cells)
+        self.pace: list[float] = []  # one number, or none
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
 
     def __getstate__(self) -> dict[str, Any]:

@@ -48,11 +48,13 @@ def run_tiles(
     """
     stop, waiting = np.zeros(1, np.uint8), grid.ordered(cells)
     if grid.few_cells and (engine is None or isinstance(engine, Threads)):
-        began = time.perf_counter()
-        few, waiting = np.split(waiting, [grid.few_cells])
-        tile, seconds = grid.run(few, stop), time.perf_counter() - began
-        yield tile
-        while waiting.size and waiting.size * seconds < _MOMENT * few.size:
+        if not grid.pace:
+            began = time.perf_counter()
+            few, waiting = np.split(waiting, [grid.few_cells])
+            tile = grid.run(few, stop)
+            grid.pace.append((time.perf_counter() - began) / max(few.size, 1))
+            yield tile
+        while waiting.size and waiting.size * grid.pace[0] < _MOMENT:
             few, waiting = np.split(waiting, [grid.tile_cells])
             yield grid.run(few, stop)
         if not waiting.size:
