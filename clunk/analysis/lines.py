@@ -89,29 +89,31 @@ class Triangles:
     def mixed(self, *, only_new: bool = False) -> tuple[Nodes, Nodes]:
         """Triangles of two labels, the corner of the other label first, and triangles of three: (n, 3) nodes each."""
         corners = self.corners[self.is_new] if only_new else self.corners
+        one, other, third = self.outcome[corners].T
+        corners = corners[(one != other) | (other != third)]  # few of a large map's
         labels = self.outcome[corners]
         alike = labels == np.roll(labels, -1, axis=1)
-        two, three = alike.sum(axis=1) == 1, ~alike.any(axis=1)
+        two = alike.any(axis=1)
         turns = (np.argmax(alike[two], axis=1)[:, None] + [2, 3, 4]) % 3
-        return np.take_along_axis(corners[two], turns, 1), corners[three]
+        return np.take_along_axis(corners[two], turns, 1), corners[~two]
 
     def add(self, keys: Codes, positions: Floats, runs: Points) -> None:
         """Add a node on each of these edges, of which none comes twice."""
         order = np.argsort(keys)
         nodes = len(self.runs) + order
         self.positions, self.runs = np.concatenate([self.positions, positions]), np.concatenate([self.runs, runs])
-        while keys.size and self._halve(keys[order], nodes):
-            pass
-
-    def _halve(self, keys: Codes, nodes: Nodes) -> bool:
-        """Halve each triangle at one of these nodes that is on an edge of it; returns whether there is any.
-
-        keys : of the edges, ascending
-        """
         is_end = np.zeros(len(self.runs), bool)
         is_end[np.concatenate(ends_of(keys))] = True
         one, other, third = is_end[self.corners].T
         near = np.flatnonzero(one & other | other & third | third & one)
+        while near.size:
+            near = self._halve(near, keys[order], nodes)
+
+    def _halve(self, near: Nodes, keys: Codes, nodes: Nodes) -> Nodes:
+        """Halve each of some triangles at one of these nodes that is on an edge of it; returns all halves.
+
+        keys : of the edges, ascending
+        """
         corners = self.corners[near]
         edges = keys_of(corners, np.roll(corners, -1, axis=1))
         at = np.minimum(np.searchsorted(keys, edges), keys.size - 1)
@@ -119,11 +121,11 @@ class Triangles:
         cut = np.flatnonzero(is_cut.any(axis=1))
         turns = np.argmax(is_cut[cut], axis=1)
         first, second, last = np.take_along_axis(corners[cut], (turns[:, None] + [0, 1, 2]) % 3, 1).T
-        middle = nodes[at[cut, turns]]
+        middle, begin = nodes[at[cut, turns]], len(self.corners)
         self.corners[near[cut]], self.is_new[near[cut]] = np.stack([first, middle, last], 1), True
         self.corners = np.concatenate([self.corners, np.stack([middle, second, last], 1)])
         self.is_new = np.append(self.is_new, np.ones(cut.size, bool))
-        return bool(cut.size)
+        return np.concatenate([near[cut], np.arange(begin, len(self.corners))])
 
 
 class Lines:
