@@ -151,7 +151,7 @@ class TestTheSameBits:
         local = clunk(tmp_path, "--scheduler", "local", "--workers", "2")
         out, err = local.communicate(timeout=120)
         assert local.returncode == 0, err
-        assert all("cells" in line or line == "  -> map.h5" for line in err.splitlines()), err
+        assert all("cells" in line or line == "-> map.h5" for line in err.splitlines()), err
         assert sorted(path.name for path in tmp_path.iterdir()) == ["map.h5", "map.toml"]
         digest = digest_of(tmp_path / "map.h5")
         assert swept("--force")[:2] == (0, out)
