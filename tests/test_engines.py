@@ -41,6 +41,7 @@ def test_an_interrupt_at_any_moment_leaves_no_thread_waiting(monkeypatch):
 
     class Nothing:
         tile_cells = few_cells = 4
+        pace = (1.0,)  # s a cell: worth threads
 
         def ordered(self, cells):
             return cells
