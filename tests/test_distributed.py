@@ -202,19 +202,18 @@ class TestWhatIsRefused:
         assert "Traceback" not in err
 
     def test_a_worker_of_other_versions(self, two_workers, map_17, monkeypatch):
-        """Before it runs anything, and where it comes later with its first tile."""
         here = {**distributed.versions(), "numba": "0.1"}
         monkeypatch.setattr(distributed, "versions", lambda: here)
-        with Cluster(two_workers.address) as engine:
-            with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba: 0\.[0-9.]* there, 0\.1 here"):
-                sweep(map_17, engine=engine)
-            monkeypatch.setattr(engine, "_check_workers", lambda: None)
-            with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba"):
-                sweep(map_17, engine=engine)
+        another = r"Worker tcp://.* has another numba: 0\.[0-9.]* there, 0\.1 here"
+        with Cluster(two_workers.address) as engine, pytest.raises(EngineError, match=another):
+            sweep(map_17, engine=engine)
 
     def test_a_worker_without_clunk(self, alone, map_17):
         alone.worker(preload="import sys; sys.modules['clunk'] = None")
-        with Cluster(alone.address) as engine, pytest.raises(EngineError, match=r"Worker tcp://.* cannot run clunk"):
+        with (
+            Cluster(alone.address) as engine,
+            pytest.raises(EngineError, match=r"could not run its cells .*the same installation as here"),
+        ):
             sweep(map_17, engine=engine)
 
 
@@ -255,7 +254,7 @@ class TestAnEndBeforeTheEnd:
     def test_cells_that_kill_every_worker_end_in_a_sentence(self, alone, map_17):
         for _ in range(2):
             alone.worker(
-                preload="import clunk.sweeping.distributed as there, os; there._runner = lambda _: os._exit(1)",
+                preload="import clunk.sweeping.distributed as there, os; there._run = lambda *_: os._exit(1)",
                 nanny=True,
             )
         with Cluster(alone.address) as engine, pytest.raises(EngineError, match="run by 4 workers that died"):

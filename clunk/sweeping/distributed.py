@@ -8,43 +8,39 @@ scheduler at once; tiles that run then go on to their ends, and their results ar
 
 from __future__ import annotations
 
-import functools
-import io
 import logging
 import pickle
 import time
-import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Executor, Future
-from contextlib import ExitStack, contextmanager, suppress
-from tempfile import TemporaryDirectory
+from contextlib import ExitStack, suppress
 from typing import Any, Self
 
 import dask
 import distributed
 import numpy as np
 from distributed import Client, KilledWorker, LocalCluster
+from distributed.utils import silence_logging_cmgr
 
 from clunk.results.files import reason
 from clunk.study.arrays import Cells
-from clunk.sweeping import engines
 from clunk.sweeping.cells import Flag, Grid, Tile
 from clunk.sweeping.engines import EngineError
 from clunk.sweeping.machine import available_cores, cpu_model, versions
 
-LOCAL = "local"
-
 _CONNECTING = 4.0  # s
 _ASKING = 1.0  # s between two looks at the number of threads
-_CLOSING = 30.0  # s that the workers of a local cluster have to end; dask kills them after five
+_LOGS = ("distributed", "distributed.client", "tornado.application")  # silent: errors are sentences here
+# In a terminal Ctrl-C goes to every process; the workers of a local cluster leave it to this one.
+_NO_INTERRUPTS = "import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 
 class Cluster(Executor):
     """The workers of a scheduler, while this is open.
 
-    address : of the scheduler, ``tcp://host:8786``; or `LOCAL` for one with workers on this machine, which end with
+    address : of the scheduler, ``tcp://host:8786``; or ``local`` for one with workers on this machine, which end with
         this; a script that uses that needs Python's ``if __name__ == "__main__":``
-    workers : processes of `LOCAL`; by default one for each core that this process may use
+    workers : processes of ``local``; by default one for each core that this process may use
     say : called with messages on what it waits for
 
     Raises EngineError where there is no scheduler, or one of its workers has other versions.
@@ -54,20 +50,28 @@ class Cluster(Executor):
         self._address = address
         self._workers = workers or available_cores()
         self._say = say or (lambda _text: None)
-        self._open = ExitStack()
         self._sent: tuple[Grid, Any] | None = None  # the latest grid, and the task that brings it to the workers
         self._threads, self._asked = 0, -_ASKING
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
-            opened.enter_context(_quiet())
+            for name in _LOGS:
+                opened.enter_context(silence_logging_cmgr(logging.CRITICAL + 1, name))
             opened.enter_context(dask.config.set({"distributed.comm.timeouts.connect": _CONNECTING}))
-            scheduler: LocalCluster | str = self._address
-            if self._address == LOCAL:
-                scheduler = opened.enter_context(_local_cluster(self._workers))
             try:
-                self._client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
-                opened.callback(self._client.close, timeout=_CONNECTING)
+                scheduler: Any = self._address
+                if self._address == "local":
+                    local = LocalCluster(
+                        n_workers=self._workers,
+                        threads_per_worker=1,
+                        scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                        memory_limit=0,  # of a worker; it needs some MB beside the program itself
+                        silence_logs=logging.CRITICAL,
+                        preload=[_NO_INTERRUPTS],
+                    )
+                    scheduler = opened.enter_context(local)
+                client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
+                self._client = opened.enter_context(client)
                 if not self._client.nthreads():
                     self._say(f"waiting for a worker of {self._address} …")
                     self._client.wait_for_workers(1)
@@ -90,7 +94,7 @@ class Cluster(Executor):
             try:
                 self._threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
             except Exception as error:  # depends on the layer that notices first that the scheduler has gone
-                raise self._lost() from error
+                raise self.explained(CancelledError()) from error
         return max(1, self._threads)
 
     def processors(self) -> str:
@@ -99,18 +103,18 @@ class Cluster(Executor):
         A system that all cells share is prepared in this process. Those of structural axes are prepared on the workers,
         by LAPACK, which on a processor of another type may round differently.
         """
-        return "; ".join(sorted(set(self._ask(cpu_model).values()))) or cpu_model()
+        models = {}
+        with suppress(OSError):  # all cells are finished, and the scheduler or a worker has gone since
+            models = self._client.run(cpu_model, on_error="ignore")
+        return "; ".join(sorted(set(models.values()))) or cpu_model()
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
         """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
         grid, cells, stop = arguments
         if self._sent is None or self._sent[0] is not grid:
-            self._check_workers()
-            pickled = io.BytesIO()
-            _Pickler(pickled).dump(grid)
             # a task and not scattered data: a worker that dies takes no copy with it that could not be made again
-            self._sent = grid, self._client.submit(bytes, pickled.getvalue(), pure=False)
-        future: Future[Any] = self._executor.submit(_run, cells, self._sent[1], stop, versions())
+            self._sent = grid, self._client.submit(pickle.loads, pickle.dumps(grid), pure=False)
+        future: Future[Any] = self._executor.submit(_run, self._sent[1], cells, stop, versions())
         return future
 
     def explained(self, error: BaseException) -> BaseException:
@@ -118,104 +122,28 @@ class Cluster(Executor):
         if isinstance(error, EngineError):
             return error
         if isinstance(error, KilledWorker):
-            return EngineError(
-                f"The same cells were being run by {error.allowed_failures + 1} workers that died, the last of them "
-                f"{error.last_worker.address}: see their logs."
-            )
+            count = error.allowed_failures + 1
+            return EngineError(f"The same cells were being run by {count} workers that died: see their logs.")
         if isinstance(error, CancelledError) or self._client.status != "running":
-            return self._lost()
-        return EngineError(f"A worker could not run its cells: {reason(error)}.")
-
-    def _ask(self, function: Callable[[], Any]) -> dict[str, Any]:
-        """Answer of each worker, or the error that it ended with; by address."""
-        try:
-            answers: dict[str, Any] = self._client.run(function, on_error="return")
-        except Exception as error:
-            raise self._lost() from error
-        return {address: each for address, each in answers.items() if not isinstance(each, OSError)}  # it has gone
-
-    def _check_workers(self) -> None:
-        """Raise EngineError where a worker has other versions."""
-        for address, answer in self._ask(versions).items():
-            if not isinstance(answer, dict):
-                raise EngineError(
-                    f"Worker {address} cannot run clunk ({reason(answer)}): it needs the same installation as here."
-                )
-            _refuse_other_versions(address, answer, versions())
-
-    def _lost(self) -> EngineError:
-        return EngineError(f"The scheduler at {self._address} was lost.")
-
-
-def _refuse_other_versions(address: str, there: Mapping[str, str], here: Mapping[str, str]) -> None:
-    for name, wanted in here.items():
-        version = there.get(name, "none")
-        if version != wanted:
-            raise EngineError(
-                f"Worker {address} has another {name}: {version[:12]} there, {wanted[:12]} here. Its results "
-                "could differ in their last bits; it needs the same installation as here."
-            )
-
-
-class _Pickler(pickle.Pickler):
-    """Pickler that keeps the order of arrays in memory, for which kernels are compiled; pickle knows only C and F."""
-
-    def reducer_override(self, value: object) -> Any:
-        if not isinstance(value, np.ndarray) or value.flags.forc:
-            return NotImplemented
-        order = np.argsort([-stride for stride in value.strides], kind="stable")
-        return np.transpose, (np.ascontiguousarray(value.transpose(order)), tuple(np.argsort(order).tolist()))
-
-
-@contextmanager
-def _local_cluster(workers: int) -> Iterator[LocalCluster]:
-    with TemporaryDirectory(prefix="clunk-dask-") as scratch:
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-            memory_limit=0,  # of a worker; it needs some MB beside the program itself
-            local_directory=scratch,
-            silence_logs=logging.CRITICAL,
-            preload=[_NO_INTERRUPTS],
+            return EngineError(f"The scheduler at {self._address} was lost.")
+        return EngineError(
+            f"A worker could not run its cells ({reason(error)}): it needs the same installation as here."
         )
-        try:
-            yield cluster
-        finally:
-            with suppress(TimeoutError):  # of a busy machine: they end with this process at the latest
-                cluster.close(timeout=_CLOSING)
-
-
-# In a terminal Ctrl-C goes to every process; the workers of a local cluster leave it to this one.
-_NO_INTERRUPTS = "import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence dask's messages: `Cluster` says what a user should know."""
-    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
-    levels = {name: logging.getLogger(name).level for name in names}
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", category=distributed.versions.VersionMismatchWarning)
-        try:
-            for name in names:
-                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-            yield
-        finally:
-            for name, level in levels.items():
-                logging.getLogger(name).setLevel(level)
 
 
 # --- on a worker
 
 
-def _run(cells: Cells, pickled: bytes, stop: Flag, wanted: Mapping[str, str]) -> Tile:
-    _refuse_other_versions(distributed.get_worker().address, versions(), wanted)  # it may have joined just now
-    return engines.run_tile(_grid(pickled), np.array(cells), stop)
+def _run(grid: Grid, cells: Cells, stop: Flag, wanted: Mapping[str, str]) -> Tile:
+    """Run a tile; the worker keeps its grid, with the drivelines that it has prepared, for other tiles.
 
-
-@functools.lru_cache(2)
-def _grid(pickled: bytes) -> Grid:
-    """The cells of a sweep; kept for other tiles, with the drivelines that they keep."""
-    grid: Grid = pickle.loads(pickled)  # noqa: S301  # from the command, by a scheduler that its user trusts
-    return grid
+    Raises EngineError where the worker has other versions than those that are wanted.
+    """
+    for name, version in versions().items():
+        if version != wanted[name]:
+            raise EngineError(
+                f"Worker {distributed.get_worker().address} has another {name}: {version[:12]} there, "
+                f"{wanted[name][:12]} here. Its results could differ in their last bits; it needs the same "
+                "installation as here."
+            )
+    return grid.run(np.array(cells), stop)
