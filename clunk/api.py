@@ -213,7 +213,7 @@ def run_points(
 def draw(
     what: Results | ToleranceMap | Trajectory | Fitted, quantity: str = "regimes", *, lash: str | None = None
 ) -> Figure:
-    """The map of a sweep's results, the picture of a run, or one of a fit.
+    """The map of a sweep's results, the picture of a run, or the maps before and after a fit.
 
     Parameters
     ----------
@@ -221,8 +221,7 @@ def draw(
     quantity : str
         Of results: regimes, severity, touches, double_sided_impacts, severity<=8000 and so on, in the words of
         `clunk.results.quantities`. Of a tolerance map: regimes, severity (its mean), severity_5, severity_50,
-        severity_95, or the probability of double_sided and the like. Of a fit:
-        maps (regimes before and after, with the measured labels, which are run for it), ensemble or labels.
+        severity_95, or the probability of double_sided and the like.
     lash : str, optional
         Of a map of several lashes, the one to draw, by name or number; by default the first.
 
@@ -251,12 +250,9 @@ def draw(
         what = what.at_lash(lash)
         return plot.draw(what, quantity, thresholds_of(what))
     if isinstance(what, Fitted):
-        from clunk.plot.analyses import FIGURES
+        from clunk.plot.analyses import measured_on_maps
 
-        name = "maps" if quantity == "regimes" else quantity
-        if name not in FIGURES:
-            raise plot.PlotError(f"There is no picture {quantity} of a fit; there are {', '.join(FIGURES)}.")
-        return FIGURES[name](what)
+        return measured_on_maps(what)
     if not isinstance(what, Trajectory):
         raise TypeError(
             f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."

@@ -1,6 +1,5 @@
 """Fits to measured sequences: known parameters are recovered, and bad input is refused."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +12,13 @@ from clunk.analysis import fitting
 from clunk.analysis.fitted import effective_size, fitted_study, losses, order_of_events, weights_of
 from clunk.analysis.fitting import MATCH, outlier_misfit, sample
 from clunk.analysis.measurements import Experiment, experiment_of
-from clunk.api import run_points, sweep, tolerance_map
+from clunk.api import run_points, sweep
 from clunk.cli import cli
 from clunk.results.labels import flanks_of_label
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.models import Fit
-from clunk.study.study import Study, digest, to_toml
-from clunk.study.sweeps import Draw
+from clunk.study.study import Study, digest
 
 RIG = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\nend_time = 1.0\n'
 SMALL = "[fit]\ncandidates = 64\ndraws = 128\neffective_draws = 20\n"
@@ -176,13 +174,13 @@ def test_a_fit_is_printed_drawn_and_written(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG + fit + GAP + priors)
     (tmp_path / "rig.csv").write_text(CSV)
     command = ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv")]
-    more = ["--plot", str(tmp_path / "fit.png"), "--write", str(tmp_path / "fitted.toml"), "--tolerances", "8"]
+    more = ["--plot", str(tmp_path / "fit.png"), "--write", str(tmp_path / "fitted.toml")]
     first, second = (CliRunner().invoke(cli, command + options) for options in (more, []))
     assert first.exit_code == second.exit_code == 0
     assert "more parameters, 3, than measurements, 2" in " ".join(first.output.split())
     assert first.stdout == second.stdout
-    assert {path.name for path in tmp_path.glob("*.png")} == {"fit-ensemble.png", "fit-labels.png", "fit-maps.png"}
-    assert len(load_study(tmp_path / "fitted.toml").sweep.tolerances) == 3
+    assert [path.name for path in tmp_path.glob("*.png")] == ["fit.png"]
+    assert load_study(tmp_path / "fitted.toml").lash.contact.damping != 94.0
 
 
 AXES = '[[sweep.axes]]\nparameter = "{}"\nvalues = {}\n'
@@ -200,47 +198,11 @@ def test_the_fitted_config_has_the_labels_of_the_best_candidate_where_they_were_
     assert sweep(study).label_map.T.ravel().tolist() == computed  # measured with the load ratio first
 
 
-@pytest.mark.parametrize(
-    "priors",
-    [
-        [PRIOR.format("lash.contact.damping", "factor", 0.8, 1.2)],
-        [PRIOR.format("lash.backlash_deg", "offset", -0.5, 0.5)],
-        [PRIOR.format("lash.contact.damping", "offset", -5, 5), PRIOR.format("lash.contact.damping", "value", 80, 99)],
-    ],
-)
-def test_tolerances_of_the_ensemble_make_the_values_of_its_draws(priors: list[str], measured: Experiment) -> None:
-    axes = AXES.format("load.ratio", [2.0, 6.0]) + AXES.format("lash.backlash_deg", [3.0, 8.0])
-    fitted = fitting.fit(study_from_text(RIG + axes + SMALL + GAP + "".join(priors)), measured)
-    tolerant = fitted_study(fitted, 16)
-    map_of_draws = tolerance_map(study_from_text(to_toml(tolerant)))
-    assert map_of_draws.draws == 16
-    # measured gaps of 3 and 8 degrees and the nominal damping, by the fit's draws and by the tolerances
-    keys = dict.fromkeys(prior.parameter for prior in fitted.priors)
-    for key in keys:
-        for k, nominal in enumerate([3.0, 8.0] if key == "lash.backlash_deg" else [94.0]):
-            expected = made(fitted.priors, key, fitted.draws, nominal)
-            around = tolerant.sweep.axes[1].values[k] if key == "lash.backlash_deg" else tolerant.lash.contact.damping
-            listed = np.array([each.values for each in tolerant.sweep.tolerances]).T
-            values = made(tolerant.sweep.tolerances, key, listed, around)
-            assert abs(values[:, None] - expected).min(axis=1).max() < 1e-12 * nominal
-    with pytest.raises(ConfigError, match="found 16 values"):
-        study_from_text(to_toml(tolerant), overrides=["sweep.sampling.count=8"])
-
-
-def made(draws: Sequence[Draw], key: str, numbers: np.ndarray, value: float) -> np.ndarray:
-    """Values that some numbers, (n, draws), make of a key's."""
-    values = np.full(len(numbers), value)
-    for draw, column in zip(draws, numbers.T, strict=True):
-        if draw.parameter == key:
-            values = draw.applied(column, values)
-    return values
-
-
-def test_the_same_seed_gives_the_same_fit_and_its_pictures_go_by_name(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_fit_which_is_drawn_on_two_maps(tmp_path: Path) -> None:
     (tmp_path / "rig.csv").write_text(CSV)
     first, again = (clunk.fit(study_of(GAP), tmp_path / "rig.csv") for _ in range(2))
     assert np.array_equal(again.matches, first.matches)
-    assert f"met by the best candidate      {first.met}" in repr(again)
-    assert clunk.draw(first, "ensemble").axes
-    with pytest.raises(clunk.PlotError, match="no picture severity of a fit"):
-        clunk.draw(first, "severity")
+    assert f"met by the best candidate   {first.met}" in repr(again)
+    nominal, fitted, *_ = clunk.draw(first).axes
+    assert f"nominal: {first.met_by_config} of 2 labels" in nominal.get_title("left")
+    assert f"fitted: {first.met} of 2 labels" in fitted.get_title("left")

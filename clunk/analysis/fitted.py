@@ -2,23 +2,21 @@
 
 The ensemble's draws are weighted by their likelihood: of the measured labels as they are met, or of some of them, from
 which the others are predicted. Why a label is missed is told by the two events that would have to change their order.
-What a fit makes of its config is a study with the estimate's values, and the ensemble as its tolerances.
+What a fit makes of its config is a study with the estimate's values.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.analysis.measurements import Experiment
 from clunk.core.sequence import INITIAL
-from clunk.results.labels import FAILED, flanks_of_label
+from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
 from clunk.results.maps import Results
 from clunk.study.arrays import Bools, Codes, Floats, Positions, Records
 from clunk.study.document import with_value
@@ -32,7 +30,6 @@ from clunk.sweeping.sweep import sweep
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
 _PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
-_SEED = 2  # of the draws that become tolerances, beside the fit's
 _COUNT = 81  # values of a map's axis
 _BEYOND = 0.15  # of the measured span, on either side of it
 
@@ -42,7 +39,6 @@ class Estimate(Record):
     """A parameter's number: a value, a factor or an offset.
 
     interval, prior_interval : 5 and 95 % quantiles, of the ensemble and of the prior
-    prior : its distribution
     """
 
     parameter: str = told("parameter")
@@ -50,7 +46,6 @@ class Estimate(Record):
     estimate: float = told("estimate", form=".4g")
     interval: list[float] = told("5 to 95 %", form=".4g")
     prior_interval: list[float] = told("of the prior", form=".4g")
-    prior: dict[str, Any] = told()
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,6 @@ class Measured(Record):
     """A measured label, and what the fit makes of it.
 
     computed : by the best candidate
-    probabilities : of labels, in the ensemble
     met_by_some : whether any draw of the ensemble meets it
     reason : sentences on why the best candidate misses it; empty where it does not
     """
@@ -77,7 +71,6 @@ class Measured(Record):
     at: dict[str, float] = told("at")
     label: str = told("measured")
     computed: str = told("computed")
-    probabilities: dict[str, float] = told()
     met_by_some: bool = told("met by some draw")
     reason: str = told("why")
 
@@ -179,19 +172,13 @@ class Fitted(Record):
         return self.hits(self.nominal_matches["label"])
 
     @property
-    @tells("most probable in the ensemble")
-    def most_probable(self) -> int:
-        """Number of measured labels that are the most probable ones of the ensemble."""
-        return sum(next(iter(each.probabilities)) == each.label for each in self.measured)
-
-    @property
     @tells("parameters", key="parameters")
     def estimates(self) -> list[Estimate]:
         """Each parameter's estimate and intervals."""
         rows = []
         for prior, number, within in zip(self.priors, self.estimate, self.intervals().tolist(), strict=True):
             before = prior.quantiles(INTERVAL, nominal_value(self.study, prior.parameter)).tolist()
-            rows.append(Estimate(prior.parameter, prior.draws, float(number), within, before, prior.model_dump()))
+            rows.append(Estimate(prior.parameter, prior.draws, float(number), within, before))
         return rows
 
     @property
@@ -228,8 +215,8 @@ class Fitted(Record):
             others, counts = np.unique(self.wanted[~out], return_counts=True)
             for at in np.flatnonzero(out).tolist():
                 distances = (((self.points[~out] - self.points[at]) / spans) ** 2).sum(axis=1)
-                likely = next(iter(self.probabilities(at, weights)))
-                hits["predicted"] += likely == self.labels[self.wanted[at]]
+                likely = np.bincount(self.matches["label"][:, at] - FAILED_CODE, weights).argmax() + FAILED_CODE
+                hits["predicted"] += int(likely == self.wanted[at])
                 hits["majority"] += int(others[counts.argmax()] == self.wanted[at])
                 hits["nearest"] += int(self.wanted[~out][distances.argmin()] == self.wanted[at])
         return hits | {"effective_draws": effective}
@@ -245,7 +232,6 @@ class Fitted(Record):
                     at=dict(zip(self.axes, measurement.values, strict=True)),
                     label=measurement.label,
                     computed=self.labels[match["label"]],
-                    probabilities=self.probabilities(k, self.weights),
                     met_by_some=bool((self.matches["label"][:, k] == self.wanted[k]).any()),
                     reason=self._reason(self.labels[self.wanted[k]], match),
                 )
@@ -257,12 +243,6 @@ class Fitted(Record):
     def missed(self) -> list[Measured]:
         """The labels that the best candidate misses."""
         return [each for each in self.measured if each.reason]
-
-    def probabilities(self, at: int, weights: Floats) -> dict[str, float]:
-        """Probability of each label at a measured point, by its number, the largest first; weights : of the draws."""
-        codes, inverse = np.unique(self.matches["label"][:, at], return_inverse=True)
-        shares = np.bincount(inverse, weights)
-        return {self.labels[codes[k]]: float(shares[k]) for k in np.argsort(-shares, kind="stable")}
 
     def _reason(self, label: str, match: np.void) -> str:
         """Sentences on why a run, MATCH, misses a measured label; empty where it does not."""
@@ -276,9 +256,9 @@ class Fitted(Record):
             return f"{events} No change of a measured value alone brings about the measured label."
         return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
 
-    def intervals(self, shares: Sequence[float] = INTERVAL) -> Floats:
-        """(d, shares) quantiles of each parameter in the ensemble."""
-        return weighted_quantiles(self.draws, self.weights, shares)
+    def intervals(self) -> Floats:
+        """(d, 2) 5 and 95 % quantiles of each parameter in the ensemble."""
+        return intervals_of(self.draws, self.weights)
 
     @property
     @tells()
@@ -298,9 +278,9 @@ class Fitted(Record):
         return sentences
 
 
-def weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float]) -> Floats:
-    """(d, shares) quantiles of the columns of values, (n, d), with weights, (n,)."""
-    return np.asarray(np.quantile(values, shares, axis=0, weights=weights, method="inverted_cdf").T)
+def intervals_of(draws: Floats, weights: Floats) -> Floats:
+    """(d, 2) 5 and 95 % quantiles of the columns of draws, (n, d), with weights, (n,)."""
+    return np.asarray(np.quantile(draws, INTERVAL, axis=0, weights=weights, method="inverted_cdf").T)
 
 
 # --- Weights and predictions ------------------------------------------------------------------------------------------
@@ -362,17 +342,11 @@ def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str
 # --- Studies and maps -------------------------------------------------------------------------------------------------
 
 
-def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
+def fitted_study(fitted: Fitted) -> Study:
     """The study with the best candidate's values, without [fit].
 
     Values of measured keys, that of the config and those on its axes, are taken for measured ones: fitted factors and
     offsets are applied to them.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    draws : int
-        Number of the ensemble's draws to be tolerances around the estimate; 0 for none.
 
     Raises
     ------
@@ -383,43 +357,24 @@ def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
     --------
     >>> import clunk
     >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
-    >>> tolerant = clunk.fitted_study(clunk.fit(study, "table_4_1"), draws=32)
-    >>> [each.draws for each in tolerant.sweep.tolerances]
-    ['factor', 'offset']
+    >>> rig = clunk.fitted_study(clunk.fit(study, "table_4_1"))
+    >>> rig.lash.backlash_deg > study.lash.backlash_deg
+    True
     """
-    generator = np.random.default_rng([fitted.fit.seed, _SEED])
-    picked = fitted.draws[generator.choice(len(fitted.weights), size=draws, p=fitted.weights)]
-    document, tolerances = content(fitted.study.model_copy(update={"fit": None})), []
-    for key in dict.fromkeys(prior.parameter for prior in fitted.priors):
-        place, _, value = located(fitted.study, key)
-        document = with_value(document, place, float(_applied(fitted, key, value, fitted.estimate)))
-        ways = {prior.draws for prior in fitted.priors if prior.parameter == key}
-        # A draw makes the value v to a v + b, and the estimate made it to e v + f.
-        (b, a), (f, e) = ([_applied(fitted, key, v, n) for v in (0.0, 1.0)] for n in (picked, fitted.estimate))
-        relative = {"value": b}
-        if "value" not in ways:
-            for axis in document.get("sweep", {}).get("axes", ()):
-                for end in {"start", "stop", "values"} & axis.keys() if axis["parameter"] == key else ():
-                    ends = _applied(fitted, key, np.array(axis[end]), fitted.estimate)
-                    axis[end] = tuple(ends.tolist()) if end == "values" else float(ends)
-            factor = (a - b) / (e - f)
-            relative = {"factor": factor, "offset": b - f * factor}
-        for way, numbers in relative.items():
-            if way in ways:
-                table = {"parameter": key, "distribution": "listed", "draws": way}
-                tolerances.append(table | {"values": tuple(numbers.tolist())})
-    if draws:
-        kept = {key: value for key, value in document.get("sweep", {}).items() if key != "samples"}
-        document["sweep"] = kept | {"tolerances": tuple(tolerances), "sampling": {"count": draws}}
+    study, priors = fitted.study, fitted.priors
+    document = content(study.model_copy(update={"fit": None}))
+    for key, value in with_draws(study, {}, priors, fitted.estimate).items():
+        document = with_value(document, located(study, key)[0], float(value))
+    acted_on = {each.parameter for each in priors} - {each.parameter for each in priors if each.draws == "value"}
+    for axis in document.get("sweep", {}).get("axes", ()):
+        for end in {"start", "stop", "values"} & axis.keys() if axis["parameter"] in acted_on else ():
+            measured = {axis["parameter"]: np.array(axis[end])}
+            values = with_draws(study, measured, priors, fitted.estimate)[axis["parameter"]].tolist()
+            axis[end] = tuple(values) if end == "values" else values
     return Study.model_validate(document)
 
 
-def _applied(fitted: Fitted, key: str, value: npt.ArrayLike, numbers: Floats) -> Floats:
-    """Values of a key after a fit's numbers, (…, d), have been applied to these."""
-    return with_draws(fitted.study, {key: np.asarray(value)}, fitted.priors, np.moveaxis(numbers, -1, 0))[key]
-
-
-def fit_maps(fitted: Fitted, workers: int | None = None) -> tuple[Results, Results]:
+def fit_maps(fitted: Fitted) -> tuple[Results, Results]:
     """Maps of the two measured parameters, as they were measured, before and after the fit.
 
     Raises ClunkError unless two parameters were measured, each at two values or more.
@@ -432,7 +387,7 @@ def fit_maps(fitted: Fitted, workers: int | None = None) -> tuple[Results, Resul
     axes += [Axis(parameter=fitted.axes[k], values=(float(fitted.points[0, k]),)) for k in fixed]
     study = fitted.study.model_copy(update={"sweep": Sweep(axes=tuple(axes))})
     studies = study.model_copy(update={"fit": None}), fitted_study(replace(fitted, study=study))
-    before, after = (sweep(each, workers=workers).of_lash(fitted.lash) for each in studies)
+    before, after = (sweep(each).of_lash(fitted.lash) for each in studies)
     return before, replace(after, axes=before.axes)
 
 

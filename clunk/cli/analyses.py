@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 @click.argument("config", type=PATH)
 @click.argument("measurements", type=PATH)
 @set_option
-@click.option("--plot", "picture", type=PATH, help="Also draw maps, ensemble and probabilities: .png .svg .pdf.")
+@click.option("--plot", "picture", type=PATH, help="Also draw the measured labels on maps: .png .svg .pdf.")
 @click.option("--write", "fitted_config", type=PATH, help="Also write the fitted config (.toml), to be swept.")
-@click.option("--tolerances", type=click.IntRange(1), help="With --write: so many draws of the ensemble as tolerances.")
 @lash_option
 @workers_option
 @json_option
@@ -44,7 +43,6 @@ def fit(
     overrides: tuple[str, ...],
     picture: Path | None,
     fitted_config: Path | None,
-    tolerances: int | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -59,8 +57,6 @@ def fit(
       clunk fit configs/fit_table_4_1.toml table_4_1 --plot rig.png \\
           --write rig.toml
     """
-    if tolerances is not None and fitted_config is None:
-        raise click.UsageError("--tolerances goes with --write.")
     import clunk
     from clunk.results import files
     from clunk.results.files import write_text
@@ -74,20 +70,14 @@ def fit(
     terminal.warn_of_coarse_step(study, study.solver.method)
     fitted = clunk.fit(study, measurements, progress=True, **options)
     tables.tell(fitted, as_json)
-    if fitted_config is not None:
-        comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"
-        write_text(fitted_config, comment + to_toml(clunk.fitted_study(fitted, tolerances or 0)))
-        terminal.say_written(fitted_config)
-    if picture is not None:
-        from clunk.plot.analyses import FIGURES
-
-        for name, figure_of in FIGURES.items():
-            try:
-                terminal.save_picture(figure_of(fitted), picture.with_name(f"{picture.stem}-{name}{picture.suffix}"))
-            except ClunkError as error:  # no map of other than two measured parameters
-                terminal.complain(f"note: {error}")
     for sentence in fitted.warnings:
         terminal.complain(f"warning: {sentence}")
+    if fitted_config is not None:
+        comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"
+        write_text(fitted_config, comment + to_toml(clunk.fitted_study(fitted)))
+        terminal.say_written(fitted_config)
+    if picture is not None:
+        terminal.save_picture(clunk.draw(fitted), picture)
 
 
 @click.command()

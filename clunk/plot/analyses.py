@@ -1,13 +1,12 @@
-"""Figures of analyses: maps compared, measured labels, thresholds, an ensemble that fits, Sobol indices, optima."""
+"""Figures of analyses: maps compared, measured labels, thresholds, Sobol indices, optima."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import cycle, groupby
 
 import numpy as np
-from matplotlib import ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,9 +25,8 @@ from clunk.plot.plane import View, cell_edges, scale_panels, value_text
 from clunk.plot.style import INK, LINE_COLOURS, Look
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.maps import Results
-from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.parameters import nominal_value, quantity
+from clunk.study.parameters import quantity
 from clunk.study.records import counted
 
 _RARE_COLOUR = "#a9adb0"
@@ -37,10 +35,6 @@ _LISTED = 3  # keys of the config that differ
 _PALE = 0.25  # depth of the regimes' colours under differing cells
 _NARROWEST = 0.002  # of the axis, a band that is seen
 _WITHOUT: Look = {"color": INK, "linewidth": 1.2, "linestyle": "--", "label": "without tolerances"}
-_SIDE = 1.9  # inches, of a panel of the corner plot
-_SHOWN = 1500  # draws
-_BINS = 30
-_LEAST = 0.02  # probability of a label that is in the legend
 _WIDTH = 7.2  # inches, of charts of bars
 _BAR = 0.36  # of the distance from one parameter to the next
 _INTERVAL = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
@@ -99,7 +93,7 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
     return map_figure([replace(layers, points=points, facts=facts, notes=outside)])
 
 
-def measured_on_maps(fitted: Fitted, workers: int | None = None) -> Figure:
+def measured_on_maps(fitted: Fitted) -> Figure:
     """The measured labels on maps before and after the fit, side by side, which are run: dots agree, crosses do not.
 
     Points are compared with their own runs, not with the map's nearest cells.
@@ -108,7 +102,7 @@ def measured_on_maps(fitted: Fitted, workers: int | None = None) -> Figure:
     """
     panels, names = [], []
     matches = {"nominal": fitted.nominal_matches, "fitted": fitted.estimate_matches}
-    for (name, of_name), results in zip(matches.items(), fit_maps(fitted, workers), strict=True):
+    for (name, of_name), results in zip(matches.items(), fit_maps(fitted), strict=True):
         layers = Layers.of(results, View.of_plane(results))
         places = fitted.points[:, [fitted.axes.index(axis.parameter) for axis in layers.view.axes]].tolist()
         labels = [each.label for each in fitted.experiment.measurements]
@@ -218,89 +212,7 @@ def _draw_bands(
     return seen
 
 
-# --- Fits, sensitivities, optima
-
-
-@style.styled()
-def corner(fitted: Fitted) -> Figure:
-    """The ensemble: each parameter's distribution, and each two together; the lines are the best candidate's."""
-    count = len(fitted.priors)
-    side = 1.2 + max(count, 2) * _SIDE
-    figure = style.new_figure((side, side))
-    grid = figure.subplots(count, count, squeeze=False, sharex="col")
-    picked = np.random.default_rng(fitted.fit.seed).choice(len(fitted.weights), _SHOWN, p=fitted.weights)
-    draws, names = fitted.draws[picked], [_name(fitted, k) for k in range(count)]
-    for (row, column), ax in np.ndenumerate(grid):
-        if column > row:
-            ax.remove()
-            continue
-        ax.axvline(fitted.estimate[column], color=_SECOND, linewidth=0.9)
-        ax.xaxis.set_major_locator(ticker.MaxNLocator(4))
-        ax.tick_params(labelsize=8.0, labelleft=column == 0)
-        if column == row:
-            _draw_distribution(ax, fitted, row, draws[:, row])
-            continue
-        ax.scatter(draws[:, column], draws[:, row], s=3.0, color=_FIRST, alpha=0.25, linewidths=0)
-        ax.axhline(fitted.estimate[row], color=_SECOND, linewidth=0.9)
-    for k, name in enumerate(names):
-        grid[-1, k].set_xlabel(name)
-        grid[k, 0].set_ylabel(name if k else "")
-    line = f"{len(fitted.weights):,} draws, effectively {fitted.effective:.0f}; lines: best candidate; dashed: prior"
-    style.lay_out(figure, grid[0, 0], f"{fitted.study.title}: ensemble", line)
-    return figure
-
-
-def _draw_distribution(ax: Axes, fitted: Fitted, k: int, draws: Floats) -> None:
-    """Draw the shares of a parameter's draws in bins, its interval and its prior."""
-    prior, shares = fitted.priors[k], np.linspace(0.0, 1.0, 2001)[1:-1]
-    before = prior.quantiles(shares, nominal_value(fitted.study, prior.parameter))
-    _, edges, _ = ax.hist(draws, _BINS, weights=np.full(draws.size, 1.0 / draws.size), color=_FIRST, alpha=0.5)
-    outline: Look = {"histtype": "step", "color": INK, "linestyle": "--", "linewidth": 0.8}
-    ax.hist(before, edges.tolist(), weights=np.full(before.size, 1.0 / before.size), **outline)
-    for bound in fitted.intervals()[k]:
-        ax.axvline(bound, color=_FIRST, linewidth=0.8)
-    ax.set_yticks([])
-
-
-def _name(fitted: Fitted, k: int) -> str:
-    """Name of a parameter, and its unit where it is no factor."""
-    prior = fitted.priors[k]
-    described = quantity(prior.parameter)
-    symbol = style.symbol_text(style.bare(described.symbol)) or style.plain(described.name)
-    unit = "" if described.unit == "1" else f" [{described.unit}]"
-    return {"factor": f"factor of {symbol}", "offset": f"offset of {symbol}{unit}"}.get(prior.draws, symbol + unit)
-
-
-@style.styled()
-def label_probabilities(fitted: Fitted) -> Figure:
-    """The ensemble's probability of each label at each measured point; the measured label's part is framed."""
-    figure = style.new_figure((_WIDTH, 1.3 + 0.24 * len(fitted.measured)))
-    ax = figure.add_subplot()
-    symbols = [style.symbol_text(style.bare(quantity(axis).symbol)) or axis for axis in fitted.axes]
-    notes: dict[str, Artist] = {}
-    names = []
-    for row, each in enumerate(fitted.measured):
-        values = (f"{symbol} = {value:g}" for symbol, value in zip(symbols, each.at.values(), strict=True))
-        names.append(f"{', '.join(values)}:  {each.label}")
-        left = 0.0
-        for label, share in each.probabilities.items():
-            edge: Look = {"edgecolor": INK, "linewidth": 1.4} if label == each.label else {"edgecolor": "white"}
-            ax.barh(row, share, left=left, height=0.78, color=style.colour_of(label), **edge)
-            left += share
-            if share >= _LEAST:
-                notes[label] = style.swatch(label, style.colour_of(label))
-    ax.set_yticks(range(len(names)), names, fontsize=8.0)
-    ax.set(xlim=(0.0, 1.0), ylim=(len(names) - 0.4, -0.6), xlabel="probability of the label")
-    line = f"framed: the measured label; ensemble of {len(fitted.weights):,} draws"
-    style.lay_out(figure, ax, f"{fitted.study.title}: predicted labels", line, [*notes.values()])
-    return figure
-
-
-FIGURES: dict[str, Callable[[Fitted], Figure]] = {
-    "maps": measured_on_maps,
-    "ensemble": corner,
-    "labels": label_probabilities,
-}
+# --- Sensitivities, optima
 
 
 @style.styled()
