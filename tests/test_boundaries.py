@@ -397,13 +397,6 @@ def test_a_file_without_any_boundary_is_read_back_and_is_netcdf(command, tmp_pat
     assert [each["geometry"]["type"] for each in traced.geojson()["features"]] == ["Polygon"]
 
 
-def test_a_damaged_network_is_no_network(coarse):
-    with pytest.raises(ValueError, match="counts"):
-        dataclasses.replace(coarse, ring_counts=coarse.ring_counts + np.int32(1))
-    with pytest.raises(ValueError, match="without a label"):
-        dataclasses.replace(coarse, labels=coarse.labels[:3])
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_maps_are_drawn_with_the_traced_curves(turned):
     axes = axis("load.ratio", 0.0, 10.0, 21), axis("lash.backlash_deg", 0.0, 20.0, 21)

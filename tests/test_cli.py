@@ -192,19 +192,15 @@ def test_info_checks_a_file_and_names_a_damaged_one(command, small, here):
     path = here / "results/small.h5"
     code, out, _ = command("info", path, "--check")
     assert code == 0
-    assert "the data match their digest, the bytes their checksum" in out
+    assert "the bytes match their checksum" in out
     assert json.loads(command("info", path, "--check", "--json")[1])["checked"] == {"data": True, "bytes": True}
     raw = bytearray(path.read_bytes())
-    path.write_bytes(raw[:-78])  # what another program leaves that has changed it
-    code, out, _ = command("info", path, "--check")
-    assert code == 0
-    assert "no checksum" in out
     raw[len(raw) // 2] ^= 1
     path.write_bytes(raw)
     for arguments in (["info", path], ["info", path, "--check"], ["plot", path], ["sweep", small]):
         code, _, err = command(*arguments)
         assert code == 2
-        assert "do not match its checksum" in " ".join(err.split())
+        assert "do not match their checksum" in " ".join(err.split())
 
 
 def test_failed_cells_exit_3_and_name_their_cause_also_where_the_sweep_was_finished_before(command, small):

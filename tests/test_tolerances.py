@@ -13,7 +13,7 @@ from clunk import plot
 from clunk.core.status import Status
 from clunk.plot import PlotError, save
 from clunk.plot.style import colour_of
-from clunk.results import netcdf, store
+from clunk.results import store
 from clunk.results.labels import excursions
 from clunk.results.maps import QUANTILES
 from clunk.results.netcdf import StoreError
@@ -255,7 +255,6 @@ class TestFile:
                 other.unit,
             )
             assert np.array_equal(one.values, other.values)
-        assert netcdf.read(path).has_checksum
 
     def test_xarray_finds_labels_by_their_name(self, found, path):
         with xarray.open_dataset(path, engine="h5netcdf") as data:

@@ -98,8 +98,6 @@ class Boundaries:
     unresolved : (U, 2) float64, a place in each cell where no line could be located: a label has no width there or
         hangs on rounding, or labels change more finely than lines are traced
     lash : name of the lash whose labels they are; empty where there is one
-
-    Raises ValueError where the arrays do not belong together.
     """
 
     axes: tuple[ResultAxis, ...]
@@ -118,20 +116,6 @@ class Boundaries:
     region_area: Floats
     unresolved: Floats
     lash: str = ""
-
-    def __post_init__(self) -> None:
-        totals = (
-            (self.curve_counts, self.vertices),
-            (self.ring_counts, self.ring_vertices),
-            (self.region_rings, self.ring_counts),
-        )
-        if any(counts.sum() != len(values) or (counts < 1).any() for counts, values in totals):
-            raise ValueError("the counts of boundaries are not those of their vertices")
-        codes = np.concatenate([self.curve_left, self.curve_right, self.junction_labels.ravel(), self.region_label])
-        if codes.size and not NO_LABEL <= codes.min() <= codes.max() < len(self.labels):
-            raise ValueError("a boundary has a code without a label")
-        if self.curve_event.size and not 0 <= self.curve_event.min() <= self.curve_event.max() < len(EVENTS):
-            raise ValueError("a boundary has an unknown event")
 
     def label(self, code: int) -> str:
         """The label of a code."""
@@ -254,7 +238,7 @@ def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
 
 
 def boundaries_of(variables: Mapping[str, Variable], axes: tuple[ResultAxis, ...]) -> Boundaries | None:
-    """The boundaries among some variables, None without any. Raises KeyError and ValueError where they are damaged."""
+    """The boundaries among some variables, None without any."""
     if _FIRST not in variables:
         return None
     fields: dict[str, Any] = {field: variables[name].values for name, field, *_ in _VARIABLES}

@@ -22,7 +22,6 @@ from clunk.results.netcdf import (
     flags,
     meanings_of,
     read,
-    refusing_damage,
     write,
 )
 from clunk.results.quantities import TOLERANCE_QUANTITIES
@@ -60,9 +59,7 @@ def write_results(path: str | os.PathLike[str], results: AnyMap, scratch: Path |
 
 
 def read_results(path: str | os.PathLike[str]) -> Results:
-    """Read a regime map whole, its bytes compared with their checksum and its data with their digest.
-
-    Raises StoreError.
+    """Read a regime map whole, its bytes compared with their checksum. Raises StoreError.
 
     Examples
     --------
@@ -80,9 +77,7 @@ def read_results(path: str | os.PathLike[str]) -> Results:
 
 
 def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
-    """Read a tolerance map whole, its bytes compared with their checksum and its data with their digest.
-
-    Raises StoreError.
+    """Read a tolerance map whole, its bytes compared with their checksum. Raises StoreError.
 
     Examples
     --------
@@ -101,9 +96,7 @@ def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
 
 def read_map(path: str | os.PathLike[str]) -> AnyMap:
     """Read whichever map a results file holds, as `read_results` and `read_tolerance_map`. Raises StoreError."""
-    dataset = read(path)
-    with refusing_damage(path):
-        return map_of(dataset)
+    return map_of(read(path))
 
 
 # --- from maps to datasets
@@ -145,7 +138,7 @@ def _of_axis(axis: ResultAxis, dim: str) -> Variable:
 
 
 def map_of(dataset: Dataset) -> AnyMap:
-    """The map of a dataset. Raises KeyError and ValueError where it is of none."""
+    """The map of a dataset."""
     variables, attributes = dataset.variables, dataset.attributes
     sequence = variables["sequence"]
     along = [_axis_of(variables[name]) for name in str(sequence.attributes.get("coordinates", "")).split()]
