@@ -56,31 +56,6 @@ def test_sweep_plot_and_info_work_on_a_small_grid(command, small, here):
     assert all((here / name).stat().st_size > 10_000 for name in out.split())
 
 
-def test_a_map_is_printed_with_a_letter_for_each_cell(command, small, monkeypatch):
-    """The last line of the map has the cells without a gap, from left to right those of rising load ratio."""
-    command("sweep", small)
-    plain = command("info", "results/small.h5")[1]
-    code, out, _ = command("info", "results/small.h5", "--map")
-    assert code == 0
-    assert out.startswith(plain)
-    assert max(map(len, out.splitlines())) <= 80
-    lines = out.removeprefix(plain).splitlines()
-    rows = [line.partition("|")[2] for line in lines if "|" in line]
-    meanings = dict(re.findall(r"(\S) (\S+)", " ".join(lines[lines.index("", 1) :])))
-    results = read_results("results/small.h5")
-    assert [[meanings[letter] for letter in row[::3]] for row in rows[::-1]] == results.label_map.T.tolist()
-    assert command("info", "results/small.h5", "--map", "--json")[0] == 2
-
-
-@pytest.mark.parametrize("values", [[5.0], [4.8765, 5.1234]], ids=len)
-def test_a_map_of_few_cells_is_printed_under_values_longer_than_it_is_wide(command, small, values):
-    axes = ["--set", f"sweep.axes[1].values={values}", "--set", "sweep.axes[2].values=[6.0]"]
-    command("sweep", small, *axes)
-    code, out, _ = command("info", "results/small.h5", "--map")
-    assert code == 0
-    assert re.search(rf"\|a+\n +{values[0]:.4g} +{values[-1]:.4g}\n +load.ratio", out)
-
-
 def test_runs_that_are_cut_off_are_announced(command, small):
     """A hundredth of a second after the load step nothing has happened; without a change of load nothing will."""
     for times in range(2):
@@ -230,7 +205,7 @@ def test_simulate_runs_a_cell_of_a_results_file(command, small):
     assert json.loads(out)["label"] == "DS(1)SS(1)"
     code, _, err = command("simulate", "results/small.h5", "--at", "load.ratio=4")
     assert code == 2
-    assert "--at lash.backlash_deg=" in err
+    assert "by --at KEY=VALUE: lash.backlash_deg: 0 to 20 degrees" in err
 
 
 def test_simulate_of_a_sweep_takes_the_config_s_own_values_where_none_are_named(command, small):
@@ -305,14 +280,15 @@ def test_messages_keep_within_80_columns(command, small):
 def test_modes_prints_the_report_s_numbers_and_names_what_each_mode_moves(command):
     code, out, _ = command("modes", ROOT / "configs/nominal.toml")
     assert code == 0
-    for number in ("3.2", "16.2", "30.8", "258.3", "1.46", "3.13", "6.69", "14.32"):
+    for number in ("3.2", "16.2", "30.8", "258.3", "1.4625", "3.1287", "6.6929", "14.317"):
         assert f" {number}" in out
-    assert re.search("shuffle +mode 1", out)
-    assert "pinion 39 %, ring 39 %" in out
+    assert re.search("shuffle.* 1\n", out)
+    assert "pinion 39%, ring 39%" in out
     record = json.loads(command("modes", ROOT / "configs/nominal.toml", "--json")[1])
     assert record["shuffle"] == 1
-    assert record["inertias"] == ["motor", "flange", "pinion", "ring"]
-    assert [sum(shares) for shares in record["closed"]["kinetic_energy_share"]] == pytest.approx([1.0] * 4)
+    shares = [mode["kinetic_energy_share"] for mode in record["modes"]]
+    assert list(shares[0]) == ["motor", "flange", "pinion", "ring"]
+    assert [sum(each.values()) for each in shares] == pytest.approx([1.0] * 7)
 
 
 @pytest.mark.parametrize("name", ["modes", "simulate"])
@@ -335,7 +311,7 @@ def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(command):
     _, _, err = command("simulate", ROOT / "configs/nominal.toml")
     assert "warning" not in err
     _, out, _ = command("modes", ROOT / "configs/nominal.toml")
-    assert "39.5 steps a period" in out
+    assert re.search("steps a period .* 39.5\n", out)
 
 
 def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):
@@ -409,7 +385,6 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(command,
         (["simulate", "small.toml", "-o", "results/small.h5"], "results/small.h5"),
         (["simulate", "small.toml", "--figure", "closeup"], "-o"),
         (["simulate", "small.toml", "--overlay", "load.ratio", "-o", "run.png"], "--overlay"),
-        (["simulate", "small.toml", "--overlay", "lash.radius=1", "--overlay", "lash.radius=2"], "twice"),
         (["simulate", "small.toml", "--overlay", "lash.radius=1,2", "-o", "run.csv"], "one run"),
         (["simulate", "small.toml", "--at", "load.ratio=11"], "0 to 10"),
         (["compare", "notes.txt", "table_4_1", "-o", "map.csv"], ".png"),
@@ -422,7 +397,7 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(command,
         (["sweep", "one.toml"], "clunk simulate runs it once"),
         (["plot", "small.toml"], "clunk sweep small.toml makes one"),
         (["plot", "smal.h5"], "did you mean results/small.h5?"),
-        (["simulate", "small.toml", "--at", "load.rato=1"], "load.rato is not swept; swept: load.ratio"),
+        (["simulate", "small.toml", "--at", "load.rato=1"], "must be KEY=VALUE of what is swept: load.ratio: 0 to"),
         (["thresholds", "small.toml"], "Missing option '--along'"),
         (["help", "configs"], "did you mean config?"),
     ],

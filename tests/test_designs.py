@@ -207,14 +207,14 @@ class TestCommandLine:
             ),
             (["four.h5", *FACETS, "--at", "load.ratio=1"], "needs two axes"),
             (["four.h5", "--x", "load.ratio"], "x and y are for axes that are walked together and for samples"),
-            (["four.h5", "--at", "load.ration=1"], "load.ration is not swept; swept: load.ratio"),
-            (["four.h5", "--at", "load.ratio=11"], "swept from 0 to 10"),
+            (["four.h5", "--at", "load.ration=1"], "must be KEY=VALUE of what is swept: load.ratio: "),
+            (["four.h5", "--at", "load.ratio=11"], "swept: load.ratio: 0 to 10"),
             (["zip.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
             (["sample.h5", "--y", "run"], "y goes with x"),
             (["sample.h5", "--x", "load.ratio", "--y", "load.ratio"], "are both load.ratio"),
             (["sample.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
             (["sample.h5", "--facet", "run"], "needs two axes"),
-            (["sample.h5", "--at", "load.ratio=5"], "name the run, --at run="),
+            (["sample.h5", "--at", "load.ratio=5"], "must be KEY=VALUE of what is swept: run: 1 to 32"),
             (["mixed.h5"], "differ in run would lie on each other: choose one value (--at)"),
             (["mixed.h5", "--x", "load.ratio"], "differ in lash.backlash_deg would lie on each other"),
         ],
@@ -239,7 +239,7 @@ class TestCommandLine:
         assert found["severity"] == sampled.severity[16]
         code, _, err = command("simulate", "sample.h5")
         assert code == 2
-        assert "--at run=17" in err
+        assert "name by --at KEY=VALUE: run: 1 to 32, 32 values" in " ".join(err.split())
 
     def test_info_tells_what_lies_along_the_runs(self, command, sampled):
         _, out, _ = command("info", "sample.h5")
@@ -247,7 +247,7 @@ class TestCommandLine:
         assert "run: 1 to 32, 32 values" in out
         assert f"load.ratio: {ratio.min():g} to {ratio.max():g}" in out
         _, out, _ = command("info", "sample.h5", "--json")
-        assert [each["parameter"] for each in json.loads(out)["coordinates"]] == [
+        assert [each["parameter"] for each in json.loads(out)["axes"]] == [
             axis.parameter for axis in sampled.coordinates
         ]
         _, out, _ = command("info", "four.h5")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from clunk.cli import completion, terminal
-from clunk.study.errors import listing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,9 +64,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     named = nearest_values(design.axes, at)
     missing = [axis for axis in design.axes if axis.parameter not in named]
     if missing and all_needed:
-        middles = [f"{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}" for axis in missing]
-        named_so = " ".join(f"--at {shlex.quote(middle)}" for middle in middles)
-        raise click.UsageError(f"Which cell? Also name {named_so}, for example.")
+        raise click.UsageError(f"Which cell? Also name by --at KEY=VALUE: {_spreads(missing)}.")
     unnamed = [each for axis in missing for each in axis.parameters]
     if unnamed:
         listed = ", ".join(f"{axis.parameter} = {nominal_value(study, axis.parameter):g}" for axis in unnamed)
@@ -83,29 +79,21 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...]) -> dict[str,
     """Values of axes that --at names, each the nearest one of its axis."""
     import numpy as np
 
-    together = [each for axis in axes for each in axis.along]
-    swept = {axis.parameter: axis for axis in (*axes, *together)}
+    swept = {axis.parameter: axis for axis in axes}
     values: dict[str, float] = {}
     for assignment in at:
-        key, equals, text = assignment.partition("=")
-        key = key.strip()
-        if not equals:
-            raise click.UsageError(f"--at {assignment}: must be KEY=VALUE, for example load.ratio=7.")
-        if key not in swept:
-            raise click.UsageError(f"--at {assignment}: {key} is not swept; swept: {listing([*swept]) or 'nothing'}.")
-        axis = swept[key]
+        key, _, text = (part.strip() for part in assignment.partition("="))
         try:
-            wanted = float(text)
-            position = axis.nearest(wanted)
-        except ValueError as error:
-            raise click.UsageError(f"--at {assignment}: {error}") from None
-        nearest = float(axis.values[position])
-        if axis in together:
-            raise click.UsageError(
-                f"--at {assignment}: {key} changes together with the other keys of its run; name the run, --at "
-                f"run={position + 1}, where it is {nearest:.6g}."
-            )
+            axis, wanted = swept[key], float(text)
+            nearest = float(axis.values[axis.nearest(wanted)])
+        except (KeyError, ValueError):
+            there = _spreads(axes) or "nothing"
+            raise click.UsageError(f"--at {assignment}: must be KEY=VALUE of what is swept: {there}.") from None
         values[key] = nearest
         if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
             terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")
     return values
+
+
+def _spreads(axes: Sequence[ResultAxis]) -> str:
+    return "; ".join(f"{axis.parameter}: {axis.spread}" for axis in axes)

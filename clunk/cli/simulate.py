@@ -10,7 +10,7 @@ import click
 
 from clunk.cli import completion, tables, terminal
 from clunk.cli.options import PATH, at_option, cell_values, json_option, set_option
-from clunk.study.records import fill, number, words
+from clunk.study.records import Told, fill, words
 
 if TYPE_CHECKING:
     from clunk.simulation.trajectory import Trajectory
@@ -27,7 +27,6 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
 @click.argument("source", type=PATH)
 @set_option
 @at_option
-@click.option("--lash", metavar="NAME", help="Of several lashes, draw only this one.")
 @click.option(
     "--overlay",
     metavar="KEY=V1,V2,…",
@@ -48,7 +47,6 @@ def simulate(
     source: Path,
     overrides: tuple[str, ...],
     at: tuple[str, ...],
-    lash: str | None,
     overlay: tuple[str, ...],
     output: Path | None,
     figure: str,
@@ -69,7 +67,6 @@ def simulate(
     """
     from clunk.results import files
     from clunk.simulation.trajectory import simulate as run
-    from clunk.study.models import lash_position
     from clunk.sweeping.cells import compiling_note
 
     if output is None and figure != "everything":
@@ -83,7 +80,6 @@ def simulate(
         click.echo(note, err=True)
     for _, study in studies:
         terminal.warn_of_coarse_step(study, study.solver.method)
-    positions = [lash_position(lash, study.lash_names) for _, study in studies]
     runs = [(name, run(study)) for name, study in studies]
     records = [{"run": name} | run_record(trajectory) for name, trajectory in runs]
     if as_json:
@@ -95,9 +91,7 @@ def simulate(
             _print_run(trajectory, record)
         click.echo("\n" + fill(_LEGEND))
     if output is not None:
-        if lash is not None:
-            runs = [(name, each.lashes[k]) for (name, each), k in zip(runs, positions, strict=True)]
-        _save_runs(runs, output, figure, each_lash=lash is None)
+        _save_runs(runs, output, figure)
 
 
 def _studies_to_simulate(
@@ -122,9 +116,7 @@ def _studies_to_simulate(
         key, equals, listed = assignment.partition("=")
         if not equals or not listed:
             raise click.UsageError(f"--overlay {assignment}: must be KEY=V1,V2, for example load.ratio=1,2,5.")
-        if key in choices:
-            raise click.UsageError(f"--overlay {assignment}: {key} is there twice; list its values in one.")
-        choices[key] = [f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed)]
+        choices.setdefault(key, []).extend(f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed))
     studies: list[tuple[str, Study]] = []
     for chosen in product(*choices.values()):
         study = study_from_text(text, name, [*overrides, *chosen], source.parent)
@@ -136,8 +128,8 @@ def _studies_to_simulate(
     return studies
 
 
-def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str, *, each_lash: bool) -> None:
-    """Save or draw runs; each_lash : whether pictures show every lash, or that of the trajectories alone."""
+def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str) -> None:
+    """Save or draw runs."""
     from clunk.results.export import save_history
     from clunk.simulation import history as histories
 
@@ -154,7 +146,7 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str, *,
     if figure == "small-gap":
         picture = figures.small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study))
     else:
-        picture = figures.history_figure(drawn, figure, each_lash=each_lash)
+        picture = figures.history_figure(drawn, figure)
     terminal.save_picture(picture, output)
 
 
@@ -163,7 +155,7 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
     from clunk.simulation.energy import balance
 
     primaries, load = {k for each in trajectory.lashes for k in each.primaries.tolist()}, trajectory.load
-    several, energy = len(trajectory.lashes) > 1, balance(trajectory)
+    several, names = len(trajectory.lashes) > 1, trajectory.study.lash_names
     of_lashes = {
         name: {
             "label": each.label,
@@ -171,11 +163,11 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
             "approach_velocity": each.approach_velocity,
             "impact_severity": each.impact_severity,
             "margin": each.margin,
-            **_measures(each),
+            "measures": _measures(each),
         }
-        for name, each in zip(trajectory.study.lash_names, trajectory.lashes, strict=True)
+        for name, each in zip(names, trajectory.lashes, strict=True)
     }
-    return ({"lashes": of_lashes} if several else next(iter(of_lashes.values()))) | {
+    return tables.of_lashes(of_lashes) | {
         "complete": trajectory.complete,
         "end": trajectory.end,
         "events": [
@@ -191,23 +183,21 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
             for k, event in enumerate(trajectory.events)
             if k > 0
         ],
-        "energy": vars(energy) | {"residual": energy.residual, "relative_residual": energy.relative_residual},
+        "energy": balance(trajectory),
     }
 
 
 def _measures(trajectory: Trajectory) -> dict[str, Any]:
-    """Measures of a run that the config asks for besides Q and V; empty where it asks for none."""
+    """Measures of a run, and of its impacts, that the config asks for besides Q and V; empty where it asks for none."""
+    from clunk.results.quantities import REGIME_QUANTITIES
     from clunk.sweeping.runner import Runner
 
     study = trajectory.study
     if not study.measured:
         return {}
-    runs = Runner(study, ["load.step_time"])([[study.load.step_time]])
-    run, of_impacts = runs.of_lash(study.lash_names[trajectory.lash]), study.impacts.quantities
-    return {
-        "measures": {name: run.values(name).item() for name in (*of_impacts, *(each.name for each in study.measures))},
-        "impact_measures": {name: run.values(f"impact_{name}").tolist() for name in of_impacts},
-    }
+    runs = Runner(study, ["load.step_time"])([[study.load.step_time]]).of_lash(study.lash_names[trajectory.lash])
+    cell = runs.cell({"run": 1})
+    return {name: cell[name] for name in runs.quantities if name not in REGIME_QUANTITIES}
 
 
 def _print_run(trajectory: Trajectory, record: dict[str, Any]) -> None:
@@ -221,39 +211,10 @@ def _print_run(trajectory: Trajectory, record: dict[str, Any]) -> None:
     study = trajectory.study
     quantities = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
     for lash, of_lash in record.get("lashes", {"": record}).items():
-        if not study.measured:
-            break
-        click.echo(f"\n{lash}" if lash else "")
-        values = []
-        for name, value in of_lash["measures"].items():
-            of_impacts = words(of_lash["impact_measures"].get(name, ()))
-            each = f" (impacts: {of_impacts})" if of_impacts else ""
-            values.append((name, f"{number(value)} {quantities[name].unit_symbol}{each}"))
-        tables.print_values(values)
+        if measures := of_lash["measures"].items():
+            click.echo(f"\n{lash}" if lash else "")
+            tables.print_values(
+                (name, words(value, Told(unit=quantities[name].unit_symbol))) for name, value in measures
+            )
     click.echo()
-    _print_energy(trajectory)
-
-
-def _print_energy(trajectory: Trajectory) -> None:
-    """Print the energies of a run: what it had and took up, what it still has, and where the rest went."""
-    from clunk.simulation.driveline import Driveline
-    from clunk.simulation.energy import balance
-
-    energy = balance(trajectory)
-    terms = {
-        "stored before": energy.stored_before,
-        "work of the load": energy.work,
-        "regained at rejoins": energy.regained,
-        "stored at the end": energy.stored_after,
-        "damped in shafts": sum(energy.damped_in_shafts),
-        "damped in contact": energy.damped_in_contact,
-        "rubbed": energy.rubbed,
-        "lost at impacts": energy.lost_at_impacts,
-        "dropped at partings": energy.dropped,
-    }
-    texts = [(name, f"{term:.6g} J") for name, term in terms.items() if term]
-    residual = f"{energy.residual:.6g} J, {energy.relative_residual:.1e} of the largest energy"
-    tables.print_values([*texts, ("residual", residual)])
-    rigid = Driveline.from_study(trajectory.study).rigid_motion
-    if rigid.shape.size and not rigid.is_dragged:
-        click.echo("(nothing resists the rolling: speeds are those above the speed at the load step)")
+    tables.tell(record["energy"], as_json=False)

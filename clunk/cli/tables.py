@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.study.records import Record, Row, fill, plain, table, text_of, value_lines
+from clunk.study.records import Record, Row, plain, table, text_of, value_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from clunk.results.boundaries import Boundaries
     from clunk.results.maps import AnyMap
 
 
@@ -47,9 +46,9 @@ def by_lash(results: AnyMap) -> Iterator[Any]:
         yield part
 
 
-def of_lashes(values: dict[str, Any]) -> Any:
-    """Values by lash for JSON; those of an only lash alone."""
-    return values if len(values) > 1 else next(iter(values.values()))
+def of_lashes(values: dict[str, Any]) -> dict[str, Any]:
+    """Records by lash for JSON; that of an only lash alone."""
+    return {"lashes": values} if len(values) > 1 else next(iter(values.values()))
 
 
 def print_outcomes(results: AnyMap) -> None:
@@ -64,40 +63,15 @@ def outcomes(results: AnyMap) -> dict[str, Any]:
     """How many cells each label has, or how likely it is, for JSON; of several lashes, by lash."""
     from clunk.results.maps import ToleranceMap
 
-    parts = results.by_lash()
-    if not isinstance(results, ToleranceMap):
-        return {"counts": of_lashes({name: part.counts() for name, part in parts.items()})}
-    records = {
-        name: {
-            "cells": part.sequence.size,
-            "draws": part.draws,
-            "counts": part.counts(),
-            "shares": part.shares(),
-            "uncertain_cells": part.uncertain,
-            "failed_runs": part.failed,
-        }
-        for name, part in results.by_lash().items()
-    }
-    return {"lashes": records} if results.lashes else of_lashes(records)
-
-
-def print_boundaries(boundaries: Boundaries) -> None:
-    """Print the labels that meet at each junction, and what is unresolved."""
-    if rows := boundaries.meeting_rows():
-        print_table(rows)
-    if boundaries.unresolved_sentence:
-        click.echo(fill(boundaries.unresolved_sentence))
-
-
-def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
-    """Boundaries for JSON: the curves without their vertices, the junctions and the areas."""
-    of_lash = {"lash": boundaries.lash} if boundaries.lash else {}
-    return of_lash | {
-        "curves": [
-            {"left": curve.left, "right": curve.right, "event": curve.event, "vertices": len(curve.vertices)}
-            for curve in boundaries.curves
-        ],
-        "junctions": [{"at": place.tolist(), "labels": labels} for place, labels in boundaries.meetings],
-        "areas": boundaries.areas,
-        "unresolved": boundaries.unresolved.tolist(),
-    }
+    records: dict[str, dict[str, Any]] = {}
+    for name, part in results.by_lash().items():
+        records[name] = {"counts": part.counts()}
+        if isinstance(part, ToleranceMap):
+            records[name] |= {
+                "cells": part.sequence.size,
+                "draws": part.draws,
+                "shares": part.shares(),
+                "uncertain_cells": part.uncertain,
+                "failed_runs": part.failed,
+            }
+    return of_lashes(records)

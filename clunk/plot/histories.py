@@ -35,19 +35,17 @@ _LABELLED = 12  # impacts; more arrows than these would hide the curve
 
 
 @style.styled()
-def history_figure(runs: Runs, name: str = "everything", *, each_lash: bool = True) -> Figure:
+def history_figure(runs: Runs, name: str = "everything") -> Figure:
     """One of the `FIGURES`, its panels over one time axis.
 
     Backlash coordinate and acceleration have a panel for each lash that all runs have. In the figures `backlash` and
     `acceleration` of one lash there is a panel for each load and gap, which runs that have these share (Figure 3.2).
 
-    each_lash : whether every lash is shown, or that in view alone
-
     Raises PlotError where there is no run, or no primary impact to look at closely.
     """
     if not runs:
         raise PlotError("There is no run to draw.")
-    lashes = min(len(run.lashes) for run in runs) if each_lash and name != "closeup" else 1
+    lashes = min(len(run.lashes) for run in runs) if name != "closeup" else 1
     groups: dict[str, Runs] = {"": runs}
     if lashes > 1:
         groups = {style.plain(runs[0].study.lash_names[k]): [run.lashes[k] for run in runs] for k in range(lashes)}

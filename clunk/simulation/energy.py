@@ -26,49 +26,63 @@ from clunk.simulation.load import run_load
 from clunk.simulation.phases import Regime, balanced, stretches
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats, Integers
+from clunk.study.records import Record, tells, told
 
 _ORDER = 18  # of the power series, up to |A| t = 1/4: (2 |A| t)^18 / 18! is 1e-21
 
 
-@dataclass(frozen=True)
-class EnergyBalance:
-    """Stored, supplied and lost energies of a run, from the load step to its end  [J]; S shafts."""
+@dataclass(frozen=True, repr=False)
+class EnergyBalance(Record):
+    """Stored, supplied and lost energies of a run, from the load step to its end  [J]; S shafts.
 
-    work: float  # of the load torque
-    kinetic_before: float
-    kinetic_after: float
-    shafts_before: tuple[float, ...]  # (S,) stored in each shaft's spring
-    shafts_after: tuple[float, ...]
-    contact_before: float  # stored in the indented flanks; 0 for the restitution model
-    contact_after: float
-    damped_in_shafts: tuple[float, ...]  # (S,)
-    damped_in_contact: float
-    rubbed_in_shafts: tuple[float, ...]  # (S,) taken by friction
-    lost_at_impacts: float  # of the restitution model
-    dropped: float  # left in flanks that overlap as they part, of separation by force
-    regained: float  # of it found again where such flanks rejoin before they have opened
+    shafts_before, shafts_after : (S,) stored in each shaft's spring
+    contact_before, contact_after : stored in the indented flanks; 0 for the restitution model
+    damped_in_shafts, rubbed_in_shafts : (S,) taken by dampers, and by friction
+    lost_at_impacts : of the restitution model
+    dropped : left in flanks that overlap as they part, of separation by force
+    regained : of that found again where such flanks rejoin before they have opened
+    """
+
+    work: float = told("work of the load", "J")
+    kinetic_before: float = told()
+    kinetic_after: float = told()
+    shafts_before: tuple[float, ...] = told()
+    shafts_after: tuple[float, ...] = told()
+    contact_before: float = told()
+    contact_after: float = told()
+    damped_in_shafts: tuple[float, ...] = told()
+    damped_in_contact: float = told("damped in contact", "J")
+    rubbed_in_shafts: tuple[float, ...] = told()
+    lost_at_impacts: float = told("lost at impacts", "J")
+    dropped: float = told("dropped at partings", "J")
+    regained: float = told("regained at rejoins", "J")
 
     @property
+    @tells("stored before", "J")
     def stored_before(self) -> float:
         """Kinetic energy and that of every spring, at the load step  [J]."""
         return math.fsum((self.kinetic_before, *self.shafts_before, self.contact_before))
 
     @property
+    @tells("stored at the end", "J")
     def stored_after(self) -> float:
         """Kinetic energy and that of every spring, at the end of the run  [J]."""
         return math.fsum((self.kinetic_after, *self.shafts_after, self.contact_after))
 
     @property
+    @tells("damped in all", "J")
     def damped(self) -> float:
         """Energy taken by all dampers  [J]."""
         return math.fsum((*self.damped_in_shafts, self.damped_in_contact))
 
     @property
+    @tells("rubbed", "J")
     def rubbed(self) -> float:
         """Energy taken by friction  [J]."""
         return math.fsum(self.rubbed_in_shafts)
 
     @property
+    @tells("residual", "J")
     def residual(self) -> float:
         """Sources less sinks: zero for an exact run  [J]."""
         return math.fsum(self._terms)
@@ -79,15 +93,16 @@ class EnergyBalance:
         return max(map(abs, self._terms))
 
     @property
+    @tells("residual over the largest energy", form=".1e")
+    def relative_residual(self) -> float:
+        """The residual's size relative to the largest term; 0 for a driveline without any energy."""
+        return abs(self.residual) / self.largest if self.largest != 0.0 else abs(self.residual)
+
+    @property
     def _terms(self) -> tuple[float, ...]:
         """Sources, and sinks with the other sign  [J]."""
         sinks = self.stored_after, self.damped, self.rubbed, self.lost_at_impacts, self.dropped
         return (self.stored_before, self.work, self.regained, *(-sink for sink in sinks))
-
-    @property
-    def relative_residual(self) -> float:
-        """The residual's size relative to the largest term; 0 for a driveline without any energy."""
-        return abs(self.residual) / self.largest if self.largest != 0.0 else abs(self.residual)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

@@ -15,11 +15,12 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from html import escape
-from typing import Any
+from typing import Any, TypeVar
 
 SENTENCE = "."
 WIDTH = 80  # columns of a terminal
 Rows = Sequence[tuple[str, str]]
+Getter = TypeVar("Getter", bound=Callable[[Any], Any])
 
 _LEFT = ' style="text-align: left"'  # browsers centre the headings of tables
 _MOST = 30  # rows of a table in a text; scripts get all
@@ -46,12 +47,10 @@ def told(heading: str = "", unit: str = "", form: str = "", key: str = "") -> An
     return field(metadata={"told": Told(heading, unit, form, key)})
 
 
-def tells(
-    heading: str = "", unit: str = "", form: str = "", key: str = ""
-) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
+def tells(heading: str = "", unit: str = "", form: str = "", key: str = "") -> Callable[[Getter], Getter]:
     """Decorate the getter of a record's property that is told, see `Told`."""
 
-    def decorate(getter: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def decorate(getter: Getter) -> Getter:
         getter.__dict__["told"] = Told(heading, unit, form, key)
         return getter
 
