@@ -110,7 +110,7 @@ class Flow:
         study = reference.study_of(plant)
         system, flows = driveline.prepare(study)
         for field in flows._fields:
-            setattr(self, field, getattr(flows, field)[which])
+            setattr(self, field, getattr(flows, field)[0, which])
         self.which, self.system, self.flows = which, system, flows
         self.rates, self.inputs = system.rates[which], system.inputs[which]
         self.functionals, self.feedthrough = system.functionals[which], system.feedthrough[which]

@@ -137,8 +137,6 @@ class Batch(NamedTuple):
 
 def batch_of(system: System, tables: Steps | Flows, channels: Channels | None = None) -> Batch:
     """A batch of one driveline."""
-    if isinstance(tables, Flows):
-        tables = Flows._make(table[None] for table in tables)
     return Batch(system, alone(system), tables, channels)
 
 

@@ -26,13 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.batches import UnlikeError, alike
 from clunk.core.lanes.vectors import ROW
 from clunk.core.tables import TORQUE, TORQUE_RATE
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 SPANS = 32  # two an octave
 MORE_SPANS = 128  # of flows with a wave so fast that the former end long before a run does
@@ -58,7 +55,10 @@ _FAR = 2.0**40  # units of a displacement that nothing depends on
 
 
 class Flows(NamedTuple):
-    """The flows' tables: K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8."""
+    """The tables of D drivelines, each with that axis in front.
+
+    K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8.
+    """
 
     # the particular solution and its first three derivatives at t = 0, per input; rolling apart, as in `basis`
     origin: FloatArray  # (K, 4, I, C)
@@ -111,28 +111,31 @@ def build_flows(
 ) -> Flows:
     """Tables of each flow; the arrays are those of `regimes.System`, of one driveline or of a batch.
 
-    Of a batch all tables have an axis more in front. The bits of a driveline do not depend on its batch, which has one
-    `modal` and one `steady` for each flow: raises UnlikeError where drivelines differ in more than numbers.
+    The bits of a driveline do not depend on its batch, which has one `modal` and one `steady` for each flow: raises
+    UnlikeError where drivelines differ in more than numbers.
 
     drift : (2n, 0 to 2) float64, of `regimes.System`
     spans : SPANS or MORE_SPANS
     """
-    batch, (flows, states) = rates.shape[:-3], rates.shape[-3:-1]
+    many, (flows, states) = rates.shape[:-3] or (1,), rates.shape[-3:-1]
     count, driven = functionals.shape[-2], inputs.shape[-1]
     blocks = -(-states // ROW)
     size = blocks * ROW
-    many = batch or (1,)
+
+    def room(*shape: int) -> FloatArray:
+        return np.zeros((*many, flows, *shape))
+
     tables = Flows(
-        origin=np.zeros((*many, flows, 4, driven, size)),
-        origin_output=np.zeros((*many, flows, 4, count, driven)),
-        coordinates=np.zeros((*many, flows, states, size)),
-        basis=np.zeros((*many, flows, size, size)),
+        origin=room(4, driven, size),
+        origin_output=room(4, count, driven),
+        coordinates=room(states, size),
+        basis=room(size, size),
         modal=np.zeros((*many, flows), np.int64),
-        span=np.zeros((*many, flows, spans)),
+        span=room(spans),
         propagator=np.empty((*many, flows, spans + 1, blocks, 2, ROW)),  # the most: in larger pages, if any
-        generator=np.zeros((*many, flows, size, size)),
-        watch=np.zeros((*many, flows, count, blocks, WATCHED)),
-        series=np.zeros((*many, flows, count, size, LONG)),
+        generator=room(size, size),
+        watch=room(count, blocks, WATCHED),
+        series=room(count, size, LONG),
         steady=np.zeros((*many, flows), np.int64),
     )
     arrays = rates, inputs, functionals, feedthrough
@@ -149,7 +152,7 @@ def build_flows(
         _set_rolling_apart(tables.basis, rolling)
         _set_rolling_apart(tables.origin, rolling)
         tables.origin[:, :, 0, :, np.flatnonzero(rolling[0])[0]] = 0.0  # it begins with the phase
-    return tables if batch else Flows._make(table[0] for table in tables)
+    return tables
 
 
 def _set_rolling_apart(states: FloatArray, rolling: FloatArray) -> None:
@@ -174,7 +177,7 @@ class _Scaled(NamedTuple):
     into: FloatArray  # (D, 2m, 2m)  (θ, θ') -> z
     back: FloatArray
     generator: FloatArray  # z' = generator z
-    drift: BoolArray  # (2m,)  displacements that nothing depends on, and the velocities that only they depend on
+    drift: npt.NDArray[np.bool_]  # (2m,)  displacements that nothing depends on, and velocities that only they do
 
 
 def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[int]) -> None:
@@ -203,7 +206,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     else:
         vectors, inverse, block = modes
         into, back = inverse @ into, back @ vectors
-    modal, growth = modes is not None, 1.0
+    modal = modes is not None
     seen = _outputs(functionals[..., :unforced], back, chain)
     unseen = alike(~np.any(block, axis=-2) & ~np.any(seen, axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
@@ -211,10 +214,8 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     if rates.shape[-1] > unforced:
         drive = into @ np.ascontiguousarray(rates[:, :unforced, unforced])[..., None]
         wave_rates = rates[:, unforced:, unforced:]
-        into, back, block, resonates = _with_wave(into, back, block, drive[..., 0], wave_rates, modal)
-        if resonates or not modal:
-            modal, growth = False, _GROWTH
-            tables.steady[:] = 0
+        into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, modal)
+        tables.steady[:] *= modal
     tables.modal[:] = modal
     fastest = np.sqrt((block * block).sum(axis=-1).max(axis=-1, initial=0.0)) if modal else _norm(block)
     fastest[fastest == 0.0] = _SHORTEST
@@ -238,7 +239,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     tables.series[..., :TERMS] = np.moveaxis(_TAYLOR[:, None, None, None] * derivatives, 0, -1)
     orders = np.arange(max(_BOUNDED) + 1)[:, None, None, None]
     slow = derivatives[: orders.size] / shortest[:, None, None] ** orders
-    bounds = growth * _bounds(slow[list(_BOUNDED)], modal)
+    bounds = _bounds(slow[list(_BOUNDED)], modal)
     blocks = tables.watch.shape[:-1]
     values = slow[: THIRD // ROW].reshape(-1, *blocks, ROW)
     tables.watch[..., :THIRD] = np.moveaxis(values, 0, -2).reshape(*blocks, -1)
@@ -265,7 +266,7 @@ def _places(size: int) -> IntArray:
     return np.ascontiguousarray(_halves(np.arange(size)).transpose(0, 2, 1)).ravel()
 
 
-def _halves(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _halves(rows: Any) -> Any:
     """(…, C) as (…, B, 2, 4): the one members of four pairs, and the other."""
     return rows.reshape(*rows.shape[:-1], -1, 2, PAIRS)
 
@@ -275,7 +276,7 @@ def _bounds(rows: FloatArray, modal: bool) -> FloatArray:
     halves = _halves(rows)
     pairs = np.hypot(halves[..., 0, :], halves[..., 1, :])
     if not modal:  # by |y|, which is at most the sum of the amplitudes
-        pairs[:] = np.linalg.norm(rows, axis=-1)[..., None, None]
+        pairs[:] = _GROWTH * np.linalg.norm(rows, axis=-1)[..., None, None]
     return np.asarray(pairs * (1.0 + 1e-9), np.float64)  # what is multiplied up, span by span, is rounded
 
 
@@ -285,20 +286,17 @@ def _scale(chain: Chain) -> _Scaled:
     squared, rotated = _undamped_modes(chain.stiffness / (root * root.swapaxes(-1, -2)), root * chain.rigid)
     shapes = rotated / root
     free = alike(squared <= _ROUNDING * squared.max(axis=-1, initial=0.0, keepdims=True))
-    drifting = bool(free.any())
     if np.count_nonzero(free) > 1:  # among the free shapes those apart that are not damped either
         damped = shapes[..., free].swapaxes(-1, -2) @ chain.damping @ shapes[..., free]
         shapes[..., free] = shapes[..., free] @ np.linalg.eigh(damped)[1]
     across = shapes.swapaxes(-1, -2)
     stiffness, damping = across @ chain.stiffness @ shapes, across @ chain.damping @ shapes
-    undamped = free
-    if drifting:
-        stiffness[:, free], stiffness[..., free] = 0.0, 0.0
-        friction = damping.diagonal(axis1=-2, axis2=-1)
-        undamped = alike(free & (friction <= _ROUNDING * friction.max(axis=-1, initial=0.0, keepdims=True)))
-        damping[:, undamped], damping[..., undamped] = 0.0, 0.0
-        squared = np.where(free, squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True), squared)
-        squared[np.isinf(squared)] = 1.0
+    stiffness[:, free], stiffness[..., free] = 0.0, 0.0
+    friction = damping.diagonal(axis1=-2, axis2=-1)
+    undamped = alike(free & (friction <= _ROUNDING * friction.max(axis=-1, initial=0.0, keepdims=True)))
+    damping[:, undamped], damping[..., undamped] = 0.0, 0.0
+    squared = np.where(free, squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True), squared)
+    squared[np.isinf(squared)] = 1.0
 
     frequency, each = np.sqrt(squared), np.arange(m)
     generator, into, back = np.zeros((3, count, 2 * m, 2 * m))
@@ -330,16 +328,15 @@ def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
     generator, drift = scaled.generator, scaled.drift
     particular, stays = np.zeros((4, *forcing.shape)), np.flatnonzero(~drift)
     p0, p1, p2, p3 = particular
-    within = generator.take(stays, axis=-2).take(stays, axis=-1) if drift.any() else generator
+    within = generator.take(stays, axis=-2).take(stays, axis=-1)
     p0[:, stays] = -np.linalg.solve(within, forcing[:, stays])
     p1[:, stays, TORQUE_RATE] = p0[:, stays, TORQUE]
     p0[:, stays, TORQUE_RATE] = np.linalg.solve(within, p1[:, stays, TORQUE_RATE, None])[..., 0]
-    if drift.any():
-        along, pushed = generator.take(np.flatnonzero(drift), axis=-2), forcing[:, drift]
-        p1[:, drift] = along @ p0 + pushed
-        p2[:, drift] = along @ p1
-        p2[:, drift, TORQUE_RATE] += pushed[..., TORQUE]
-        p3[:, drift, TORQUE_RATE] = (along @ p2[..., TORQUE_RATE, None])[..., 0]
+    along, pushed = generator.take(np.flatnonzero(drift), axis=-2), forcing[:, drift]
+    p1[:, drift] = along @ p0 + pushed
+    p2[:, drift] = along @ p1
+    p2[:, drift, TORQUE_RATE] += pushed[..., TORQUE]
+    p3[:, drift, TORQUE_RATE] = (along @ p2[..., TORQUE_RATE, None])[..., 0]
     return particular.swapaxes(0, 1)
 
 
@@ -351,30 +348,33 @@ def _with_wave(
     As a mode it moves what is steady under it along, by X w with block X + drive (1, 0) = X wave. Where the flow has no
     modes, or one of them is in resonance with the wave, w is added as it is, scaled to drive no more than the fastest.
 
-    Returns the three, and whether there is such a resonance.
+    Returns the three, and whether they are modes.
     """
-    (count, size), states = drive.shape, into.shape[-1]
+    count, size = drive.shape
     rate = wave[:, 0, 0] + 1j * wave[:, 0, 1]
     away = np.abs(np.linalg.eigvals(block) - rate[:, None]).min(axis=-1, initial=np.inf)
-    resonates = modal and bool(alike(away <= _RESONANCE * np.abs(rate), 0))
-    both, generator = np.zeros((count, size, 2)), np.zeros((count, size + 2, size + 2))
-    generator[:, :size, :size], generator[:, size:, size:] = block, wave
-    scale = np.ones((count, 1, 1))
-    if modal and not resonates:  # X is linear in (1, 0) and (0, 1): a system of twice the size
-        both[..., 0] = -drive
+    modal = modal and not alike(away <= _RESONANCE * np.abs(rate), 0)
+    (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))
+    pushed[..., 0] = drive
+    if modal:  # X is linear in (1, 0) and (0, 1): a system of twice the size
         system = np.kron(block, np.eye(2)) - np.kron(np.eye(size), wave.swapaxes(-1, -2))
-        both[:] = np.linalg.solve(system, both.reshape(count, -1, 1)).reshape(count, size, 2)
+        along[:] = np.linalg.solve(system, -pushed.reshape(count, -1, 1)).reshape(count, size, 2)
+        pushed[:] = 0.0
     else:
-        fastest = _norm(block)
-        length = np.linalg.norm(drive, axis=-1)
-        scaled = (fastest > 0.0) & drive.any(axis=-1)
+        fastest, length = _norm(block), np.linalg.norm(drive, axis=-1)
+        scaled = (fastest > 0.0) & (length > 0.0)
         scale[scaled, 0, 0] = length[scaled] / fastest[scaled]
-        generator[:, :size, size] = drive / scale[..., 0]
-    wider_into, wider_back = np.zeros((count, size + 2, states + 2)), np.zeros((count, states + 2, size + 2))
-    wider_into[:, :size, :states], wider_into[:, :size, states:] = into, -both
-    wider_back[:, :states, :size], wider_back[:, :states, size:] = back, back @ both
-    wider_into[:, size:, states:], wider_back[:, states:, size:] = scale * np.eye(2), np.eye(2) / scale
-    return wider_into, wider_back, generator, resonates
+    unit = np.eye(2)
+    wider_back = _wider(back, back @ along, unit / scale)
+    return _wider(into, -along, scale * unit), wider_back, _wider(block, pushed / scale, wave), modal
+
+
+def _wider(matrices: FloatArray, beside: FloatArray, corner: FloatArray) -> FloatArray:
+    """[[matrix, beside], [0, corner]], of columns that are a wave's."""
+    *count, rows, columns = matrices.shape
+    wider = np.zeros((*count, rows + 2, columns + 2))
+    wider[:, :rows, :columns], wider[:, :rows, columns:], wider[:, rows:, columns:] = matrices, beside, corner
+    return wider
 
 
 def _norm(matrices: FloatArray) -> FloatArray:
@@ -389,55 +389,44 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """
     generator, drift = scaled.generator, scaled.drift
     count, size, _ = generator.shape
-    drifting = bool(drift.any())
-    if drifting:
-        stays = np.flatnonzero(~drift)
-        kept = generator.take(stays, axis=-1)
-        eigenvalues, right = np.linalg.eig(kept.take(stays, axis=-2))
-        vectors = np.zeros((count, size, stays.size), right.dtype)
-        vectors[:, stays] = right
-        vectors[:, drift] = kept.take(np.flatnonzero(drift), axis=-2) @ right / eigenvalues[:, None]
-    else:
-        eigenvalues, vectors = np.linalg.eig(generator)
-    fastest_first = np.argsort(-np.abs(eigenvalues), axis=-1, kind="stable")
-    eigenvalues = np.take_along_axis(eigenvalues, fastest_first, axis=-1)
-    vectors = np.take_along_axis(vectors, fastest_first[:, None], axis=-1)
+    stays, moved = np.flatnonzero(~drift), np.flatnonzero(drift)
+    kept = generator.take(stays, axis=-1)
+    eigenvalues, right = np.linalg.eig(kept.take(stays, axis=-2))
+    vectors = np.zeros((count, size, stays.size), right.dtype)
+    vectors[:, stays] = right
+    vectors[:, moved] = kept.take(moved, axis=-2) @ right / eigenvalues[:, None]
+    omega = eigenvalues.imag
+    order = np.lexsort((-np.abs(eigenvalues), omega == 0.0, omega < 0.0))  # the conjugates are last
+    eigenvalues = np.take_along_axis(eigenvalues, order, axis=-1)
+    vectors = np.take_along_axis(vectors, order[:, None], axis=-1)
     sigma, omega = np.minimum(eigenvalues.real, 0.0), eigenvalues.imag  # a chain is passive: growth is rounding
-    alike(np.stack([np.count_nonzero(omega > 0.0, axis=-1), np.count_nonzero(omega == 0.0, axis=-1)], axis=-1))
-    rings, decays = (np.nonzero(chosen)[1].reshape(count, -1) for chosen in (omega > 0.0, omega == 0.0))
+    rings, decays = alike(np.stack([(omega > 0.0).sum(axis=-1), (omega == 0.0).sum(axis=-1)], axis=-1)).tolist()
+    ringing, decaying = vectors[..., :rings], vectors[..., rings : rings + decays].real
+    turning, rates = omega[:, :rings], sigma[:, rings : rings + decays]
 
-    def vectors_of(modes: IntArray) -> npt.NDArray[Any]:
-        return np.take_along_axis(vectors, modes[:, None], axis=-1)
-
-    def rates_of(modes: IntArray) -> FloatArray:
-        return np.take_along_axis(sigma, modes, axis=-1)
-
-    unit = np.eye(size)
-    basis, block = np.zeros((count, size, size)), np.zeros((count, size, size))
-    end = 2 * rings.shape[1]
-    basis[..., 0:end:2], basis[..., 1:end:2] = vectors_of(rings).real, vectors_of(rings).imag
-    at, turning = np.arange(0, end, 2), np.take_along_axis(omega, rings, axis=-1)
-    block[:, at, at] = block[:, at + 1, at + 1] = rates_of(rings)
+    basis, block = np.zeros((2, count, size, size))
+    at, end = 2 * np.arange(rings), 2 * rings
+    basis[..., at], basis[..., at + 1] = ringing.real, ringing.imag
+    block[:, at, at] = block[:, at + 1, at + 1] = sigma[:, :rings]
     block[:, at, at + 1], block[:, at + 1, at] = turning, -turning
     for k in np.flatnonzero(drift[size // 2 :]):
+        basis[:, k, end], basis[:, k + size // 2, end + 1] = generator[:, k, k + size // 2], 1.0
         block[:, end, end + 1] = 1.0
-        basis[..., end], basis[..., end + 1] = unit[k] * generator[:, k, k + size // 2, None], unit[k + size // 2]
         end += 2
     damped = np.flatnonzero(drift[: size // 2] & ~drift[size // 2 :])
-    slowest = _velocities_of(damped, vectors, decays)
-    if slowest.size:
-        far = np.zeros((count, size, damped.size))  # the displacement that is left to go while such a velocity decays
-        far[:, damped] = vectors_of(slowest)[:, damped].real
-        near = vectors_of(slowest).real - far
-        lengths, speeds = np.linalg.norm(far, axis=-2), np.linalg.norm(near, axis=-2)
-        at = np.arange(end, end + 2 * damped.size, 2)
-        basis[..., at], basis[..., at + 1] = far / lengths[:, None], near / speeds[:, None]
-        block[:, at, at + 1], block[:, at + 1, at + 1] = rates_of(slowest) * lengths / speeds, rates_of(slowest)
-        end += 2 * damped.size
-        decays, damped = decays[:, : -damped.size], damped[:0]
-    at = np.arange(end, end + decays.shape[1])
-    basis[..., at], block[:, at, at] = vectors_of(decays).real, rates_of(decays)
-    basis[:, damped, np.arange(end + decays.shape[1], size)] = 1.0
+    slow = damped.size if _are_moved_apart(damped, decaying) else 0
+    fast = decays - slow
+    far = np.zeros((count, size, slow))  # the displacement that is left to go while such a velocity decays
+    far[:, damped[:slow]] = decaying[:, damped[:slow], fast:]
+    near = decaying[..., fast:] - far
+    lengths, speeds = np.linalg.norm(far, axis=-2), np.linalg.norm(near, axis=-2)
+    at = end + 2 * np.arange(slow)
+    basis[..., at], basis[..., at + 1] = far / lengths[:, None], near / speeds[:, None]
+    block[:, at, at + 1], block[:, at + 1, at + 1] = rates[:, fast:] * lengths / speeds, rates[:, fast:]
+    at = end + 2 * slow + np.arange(fast)
+    basis[..., at], block[:, at, at] = decaying[..., :fast], rates[:, :fast]
+    alone = damped[slow:]
+    basis[:, alone, size - alone.size + np.arange(alone.size)] = 1.0
     try:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
@@ -446,22 +435,21 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         return None
     # by the Frobenius norms, at most as many times larger as there are coordinates, the condition is known sooner
     sound = np.sqrt((basis * basis).sum(axis=(-2, -1)) * (inverse * inverse).sum(axis=(-2, -1))) <= _MAX_CONDITION
-    if size and not sound.all():
+    if not sound.all():
         sound[~sound] = np.linalg.cond(basis[~sound]) <= _MAX_CONDITION
-    if size and not alike(sound, 0):
+    if not alike(sound, 0):
         return None
-    return basis, inverse @ (2.0 * unit - basis @ inverse), block
+    return basis, inverse @ (2.0 * np.eye(size) - basis @ inverse), block
 
 
-def _velocities_of(damped: IntArray, vectors: npt.NDArray[Any], decays: IntArray) -> IntArray:
-    """The slowest decaying modes, as many as there are damped drifts, if it is these that they move, and no fewer."""
-    if not 0 < damped.size <= decays.shape[1]:
-        return decays[:, :0]
-    slowest = decays[:, -damped.size :]
-    columns = np.take_along_axis(vectors[:, damped], slowest[:, None], axis=-1).real
+def _are_moved_apart(damped: IntArray, decaying: FloatArray) -> bool:
+    """Whether the slowest decaying modes, as many as there are damped drifts, move each of these, and no fewer."""
+    if not 0 < damped.size <= decaying.shape[-1]:
+        return False
+    columns = decaying[:, damped, -damped.size :]
     lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
     moved = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
-    return slowest if alike(moved[:, -1] > _APART, 0) else slowest[:, :0]
+    return bool(alike(moved[:, -1] > _APART, 0))
 
 
 def _propagate(generator: FloatArray, result: FloatArray) -> None:
@@ -470,26 +458,20 @@ def _propagate(generator: FloatArray, result: FloatArray) -> None:
     generator : (D, C, C), of each pair a block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift
     result : (D, SPANS + 1, B, 2, 8)
     """
-    size, spans = generator.shape[-1], result.shape[1] - 1
-    coordinates = _halves(np.arange(size))
-    result[:, -1, :, SELF] = generator.diagonal(axis1=-2, axis2=-1).reshape(-1, size // ROW, ROW)
-    partners = coordinates[:, ::-1].reshape(-1, ROW)
-    result[:, -1, :, CROSS] = generator[:, np.arange(size).reshape(-1, ROW), partners]
-    one, other = coordinates.transpose(1, 0, 2)
-    omega, sigma = generator[:, one, other], _halves(generator.diagonal(axis1=-2, axis2=-1))
-    pairs = sigma, omega, omega != -generator[:, other, one]
-    # one coordinate after the other, (…, D, SPANS), and each pass along memory
-    sigma, omega, drift = (np.moveaxis(array, 0, -1)[..., None] for array in pairs)
-    rates, angle, drifting = sigma * _ladder(spans), omega * _ladder(spans), drift.any()
-    decay, turning = np.exp(rates), np.where(drift, 0.0, angle)
-    cosine, sine = np.cos(turning), np.sin(turning)
-    table = np.empty((len(decay), 2, *decay.shape[1:]))
-    table[:, SELF], table[:, CROSS, 0] = decay * cosine[:, None], decay[:, 0] * sine
-    np.multiply(-decay[:, 1], sine, out=table[:, CROSS, 1])
-    if drifting:
-        speed = sigma[:, 1] * _ladder(spans)
+    each = np.arange(generator.shape[-1])
+    partners = _halves(each)[:, ::-1].ravel()
+    own, cross = _halves(generator[:, each, each]), _halves(generator[:, each, partners])  # (D, B, 2, 4)
+    shares = result.reshape(*result.shape[:-1], 2, PAIRS)
+    shares[:, -1, :, SELF], shares[:, -1, :, CROSS] = own, cross
+    own, cross, times = own[:, None], cross[:, None], _ladder(result.shape[1] - 1)[:, None, None, None]
+    decay, angle, drift = np.exp(own * times), cross[..., :1, :] * times, cross[..., :1, :] != -cross[..., 1:, :]
+    turning = np.where(drift, 0.0, angle)
+    shares[:, :-1, :, SELF] = decay * np.cos(turning)
+    swing = decay * np.sin(turning)
+    swing[..., 1, :] *= -1.0
+    if drift.any():
+        speed = own[..., 1:, :] * times
         with np.errstate(invalid="ignore"):
             share = np.where(speed != 0.0, np.expm1(speed) / speed, 1.0)
-        table[:, CROSS, 0] += np.where(drift, angle * share, 0.0)
-    of_spans = result.reshape(len(result), spans + 1, -1)[:, :-1]
-    of_spans[:] = table.reshape(-1, *rates.shape[-2:]).transpose(1, 2, 0)
+        swing[..., :1, :] += np.where(drift, angle * share, 0.0)
+    shares[:, :-1, :, CROSS] = swing
