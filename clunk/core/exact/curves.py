@@ -204,7 +204,7 @@ def _passes(guards: FloatArray, first: int, stride: int, count: int, h: Vector, 
 
 
 @inlined_part
-def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector]:
+def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector]:
     """What a function does within a time h, by its value, slope and curvature at both ends.
 
     Over t from 0 to 1 it is the quintic through these six numbers, plus f⁽⁶⁾ h⁶/720 · t³ (t - 1)³ at some time within.
@@ -216,11 +216,8 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector
     -------
     least, greatest : Vector
         Of the inner five coefficients.
-    remainder : Vector
-        The sixth derivative's bound times h⁶.
     """
     square = h * h
-    remainder = start.sixth_bound * (square * square * square)
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
     a, b = fused(s0, A_SIXTH, start.value), fused(s1, -A_SIXTH, end.value)
     c = fused(q0, 1.0 / 30.0, fused(s0, 1.0 / 3.0, start.value))
@@ -228,20 +225,18 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector
     middle = 0.5 * (fused(q0, 0.05, fused(s0, 0.4, start.value)) + fused(q1, 0.05, fused(s1, -0.4, end.value)))
     least = vectors.smaller(vectors.smaller(a, b), vectors.smaller(c, d))
     greatest = vectors.larger(vectors.larger(a, b), vectors.larger(c, d))
-    away = remainder * _REMAINDER
-    return vectors.smaller(least, middle - away), vectors.larger(greatest, middle + away), remainder
+    away = start.sixth_bound * (square * square * square) * _REMAINDER
+    return vectors.smaller(least, middle - away), vectors.larger(greatest, middle + away)
 
 
 @inlined_part
-def turns_not(start: Curve, end: Curve, remainder: Vector, h: Vector) -> tuple[int, int]:
-    """Where a function is monotone within a time h; and where it bends down all the way.
-
-    remainder : as `between` has it
-    """
+def turns_not(start: Curve, end: Curve, h: Vector) -> tuple[int, int]:
+    """Where a function is monotone within a time h; and where it bends down all the way."""
     square = h * h
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
     a, b = fused(q0, 0.25, s0), fused(q1, -0.25, s1)
     middle = 5.0 * (fused(q1, 0.05, fused(s1, -0.4, end.value)) - fused(q0, 0.05, fused(s0, 0.4, start.value)))
+    remainder = start.sixth_bound * (square * square * square)
     away = remainder * _SLOPE_REMAINDER
     least = vectors.smaller(vectors.smaller(s0, s1), vectors.smaller(vectors.smaller(a, b), middle))
     greatest = vectors.larger(vectors.larger(s0, s1), vectors.larger(vectors.larger(a, b), middle))

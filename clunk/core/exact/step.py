@@ -8,12 +8,11 @@ What is not done, for it would buy too little: taking the fastest pairs of modes
 they can add subtracted instead, lets longer spans pass, but costs about as much time as it saves (load x lash and a car
 0.96 of the time, ramps 1.05, two lashes 1.04).
 
-Between its parts a step keeps rows of lanes: OF_OUTPUT in `outputs` for each functional, OF_GUARD in `guards` for each
-guard. Guards of one functional share its rows, those from `first_alike * OF_OUTPUT` on.
+Between its parts a step keeps OF_SEEN rows of lanes in `seen` for each functional that it sees: those of the regime's
+guards and what else makes a margin, as the regime's table has them, and behind these each lash's acceleration.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.events import INSTANT
 from clunk.core.exact import curves, functionals, moving, rows, taylor
@@ -22,12 +21,8 @@ from clunk.core.exact.flows import TERMS
 from clunk.core.exact.margins import label_hangs_on_depth
 from clunk.core.exact.workspace import (
     GRAZING,
-    OF_ACCELERATION,
-    OF_GUARD,
-    OF_OUTPUT,
-    Search,
+    OF_SEEN,
     Workspace,
-    begin_searches,
     field,
     field_of,
     is_still,
@@ -36,25 +31,20 @@ from clunk.core.exact.workspace import (
     shortest_span,
     size_of,
 )
-from clunk.core.jit import inlined_part
+from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
-from clunk.core.lanes.pool import push_all, put_back
+from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
-from clunk.core.regimes import ROUNDING, elements_of, lash_of, lashes_of
+from clunk.core.regimes import ROUNDING, elements_of, inputs_of, lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.tables import ACCELERATION
-
-FloatArray = npt.NDArray[np.float64]
 
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 _LONGEST_FALL = 2.0**16  # of the shortest spans: a guard that has not turned back then never will
 
-# Rows of `outputs`: the functional less its origin; its sway, which as the bounds of its derivatives is that from the
-# step's beginning on.
-_AWAY, _SWAY = 0, 5
-# Rows of `guards`: the guard at the step's beginning and at its end; its least value and the sixth derivative's
-# remainder in between, as `curves.between` has them.
-_START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
+# Rows of `seen`: the functional at the step's beginning, and its sway; at its end; and its least and greatest values in
+# between, as `curves.between` has them.
+_START, _SWAY, _END, _LEAST, _GREATEST = 0, 5, 6, 11, 12
 
 
 @inlined_part
@@ -81,11 +71,9 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
     moving.measure(pool.work, size_of(space), space.amplitudes)
-    _see_guards(space, regime, False)
-    may_widen = _may_widen_windows(space, flow, time_left)
-    settled, kinks, at_most = 0, 0, field(space, rows.TRY)
-    if flows.steady[0, flow] != 0:
-        settled = _stay_positive(space, regime) & ~may_widen & present
+    _see(space, regime, _START)
+    kinks, at_most = 0, field(space, rows.TRY)
+    settled = _stays(space, regime) & present if flows.steady[0, flow] != 0 else 0
     if space.loads.shape[1] > 1:
         kinks = vectors.load(pool.work, space.kink_at) > 0.0
         settled &= ~kinks
@@ -118,8 +106,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     # that no event depends on where that end is.
     failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
-    searching = _watch_accelerations(space, flow, h, advancing)
-    searching |= _find_misses(space, regime, event, h, advancing)
+    searching = _find_turns(space, regime, event, h, advancing)
     set_field(space, rows.ZERO_ORDER, zero)
     set_field(space, rows.TRY, zero + np.inf)
     happened = (event >= 0.0) & advancing
@@ -154,45 +141,71 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
 
 @inlined_part
-def _see_guards(space: Workspace, regime: int, at_end: bool) -> None:
-    """Write the guards at the step's end, or at its beginning: zero to the last bit where one is known to be.
+def _see(space: Workspace, regime: int, row: int) -> None:
+    """Write the functionals, and take the accelerations into their windows, at the step's end or its beginning.
 
-    What bounds their derivatives at the beginning does so at the end, too.
+    A guard is zero to the last bit at the beginning where it is known to be. What bounds derivatives from there on does
+    so from the end on, too.
+
+    row : _END or _START
     """
-    system, outputs, flow = space.system, space.outputs, space.system.regimes[regime].flow
-    for n in range(system.regimes[regime].watched):
-        alike, f = system.guards[regime, n].first_alike, system.guards[regime, n].functional
-        at, row = alike * OF_OUTPUT, n * OF_GUARD
-        if alike == n:
-            away, sway = functionals.evaluate(space, flow, f)
-            if at_end:
-                vectors.store(outputs, at + _AWAY, (away.value, away.slope, away.curvature))
-            else:
-                vectors.store(outputs, at + _AWAY, away)
-                vectors.store(outputs, at + _SWAY, sway)
-        away, origin = load_curve(outputs, at + _AWAY), _origin(space, flow, f)
-        guard = curves.as_guard(away, origin, _sign(space, regime, n), _shift(space, n))
-        vectors.store(space.guards, row + (_END if at_end else _START), guard)
-        if not at_end and (field(space, rows.ZERO_ORDER) > 0.0) != 0:  # known in the first step of a phase alone
-            vectors.store(space.guards, row + _START, vectors.choose(_zero_order(space, n) == 1.0, 0.0, guard.value))
+    system, seen, entered = space.system, _seen(space, regime), space.system.regimes[regime]
+    for n in range(seen):
+        f = _functional(space, regime, n)
+        if n < entered.watched and system.guards[regime, n].first_alike < n:
+            continue
+        away, sway = functionals.evaluate(space, entered.flow, f)
+        origin = _origin(space, entered.flow, f)
+        for m in range(n, seen):  # and the guards of the same functional
+            if _functional(space, regime, m) == f:
+                curve = curves.as_guard(away, origin, _sign(space, regime, m), _shift(space, regime, m))
+                vectors.store(space.seen, m * OF_SEEN + row, curve)
+                if row == _START:
+                    vectors.store(space.seen, m * OF_SEEN + _SWAY, sway)
+                    zero = _zero_order(space, m) == 1.0
+                    vectors.store(space.seen, m * OF_SEEN + row, vectors.choose(zero, 0.0, curve.value))
+        if n >= entered.watched:
+            lash, value = n - entered.watched, vectors.load(space.seen, n * OF_SEEN + row)
+            high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
+            set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(high, value))
+            set_field_of(space, rows.WINDOW_MIN, lash, vectors.smaller(low, value))
+
+
+@inlined_part
+def _seen(space: Workspace, regime: int) -> int:
+    """How many functionals a step sees; the last ones are the accelerations."""
+    return int(space.system.regimes[regime].watched + lashes_of(space.system))
+
+
+@inlined_part
+def _functional(space: Workspace, regime: int, n: int) -> int:
+    """The functional that is seen as number n."""
+    system, watched = space.system, space.system.regimes[regime].watched
+    if n < watched:
+        return int(system.guards[regime, n].functional)
+    return int((n - watched) * system.functionals_per_lash + ACCELERATION)
 
 
 @inlined_part
 def _origin(space: Workspace, flow: int, f: int) -> curves.Origin:
-    """The origin of a functional that a guard is of, at the time that `ELAPSED` says."""
+    """The origin of a functional, at the time that `ELAPSED` says."""
     return functionals.origin(space, flow, f, space.inputs_at, is_still(space, flow), field(space, rows.ELAPSED))
 
 
 @inlined_part
 def _sign(space: Workspace, regime: int, n: int) -> Vector:
-    """The sign by which a functional makes guard n."""
+    """The sign by which a functional makes guard n; an acceleration is as it is."""
+    if n >= space.system.regimes[regime].watched:
+        return vectors.splat(1.0)
     lash, sign = lash_of(space.system, regime, n), space.system.guards[regime, n].sign
     return field_of(space, rows.SIDE, lash) * sign if lash >= 0 else vectors.splat(sign)
 
 
 @inlined_part
-def _shift(space: Workspace, n: int) -> Vector:
+def _shift(space: Workspace, regime: int, n: int) -> Vector:
     """The shift that makes guard n of its functional."""
+    if n >= space.system.regimes[regime].watched:
+        return vectors.splat(0.0)
     return field(space, rows.shift(n, lashes_of(space.system)))
 
 
@@ -222,59 +235,19 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 
 
 @inlined_part
-def _acceleration(space: Workspace, flow: int, lash: int) -> tuple[curves.Curve, curves.Origin, Vector]:
-    """A lash's acceleration, its origin, which moves only under a ramp, and a bound of the difference from now on."""
-    f = lash * space.system.functionals_per_lash + ACCELERATION
-    still, elapsed = space.system.ramps == 0, field(space, rows.ELAPSED)
-    origin = functionals.origin(space, flow, f, space.inputs_at, still, elapsed)
-    away, sway = functionals.evaluate(space, flow, f)
-    one = vectors.splat(1.0)
-    return curves.as_guard(away, origin, one, 0.0 * one), origin, sway
-
-
-@inlined_part
-def _widen(space: Workspace, lash: int, seen: Vector) -> None:
-    """Take a value of a lash's acceleration into the extremes of its window."""
-    set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(field_of(space, rows.WINDOW_MAX, lash), seen))
-    set_field_of(space, rows.WINDOW_MIN, lash, vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), seen))
-
-
-@inlined_part
-def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
-    """Where an acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
-
-    Each lash's lanes are in `may_widen`, and its acceleration at the step's beginning, if it matters, in
-    `accelerations`. The windows take the value at a phase's beginning.
-    """
-    may_widen, enters = 0, field(space, rows.ELAPSED) <= 0.0
-    for lash in range(lashes_of(space.system)):
-        _, origin, sway = _acceleration(space, flow, lash)
-        high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
-        largest = smallest = origin.value
-        if space.system.ramps != 0:
-            last = origin.value + origin.slope * time_left
-            largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
-        lanes = (largest + sway > high) | (smallest - sway < low)
-        if (lanes | enters) != 0:
-            start, _, _ = _acceleration(space, flow, lash)
-            vectors.store(space.accelerations, OF_ACCELERATION * lash, start)
-            _widen(space, lash, start.value)
-        space.may_widen[lash] = lanes
-        may_widen |= lanes
-    return int(may_widen)
-
-
-@inlined_part
-def _stay_positive(space: Workspace, regime: int) -> int:
-    """Where all guards will stay positive for ever, without a miss that counts."""
-    stay = -1
-    for n in range(space.system.regimes[regime].watched):
-        guard = space.system.guards[regime, n]
-        origin = _origin(space, space.system.regimes[regime].flow, guard.functional)
-        at_rest = _sign(space, regime, n) * origin.value
-        least = at_rest + _shift(space, n) - vectors.load(space.outputs, guard.first_alike * OF_OUTPUT + _SWAY)
-        stay &= (least > 0.0) & (least >= _bar(space, regime, n))
-    return stay
+def _stays(space: Workspace, regime: int) -> int:
+    """Where guards will stay positive for ever, without a miss that counts, and accelerations within their windows."""
+    stays, watched = -1, space.system.regimes[regime].watched
+    for n in range(_seen(space, regime)):
+        origin = _origin(space, space.system.regimes[regime].flow, _functional(space, regime, n))
+        sway = vectors.load(space.seen, n * OF_SEEN + _SWAY)
+        if n < watched:
+            least = _sign(space, regime, n) * origin.value + _shift(space, regime, n) - sway
+            stays &= (least > 0.0) & (least >= _bar(space, regime, n))
+        else:
+            stays &= origin.value + sway <= field_of(space, rows.WINDOW_MAX, n - watched)
+            stays &= origin.value - sway >= field_of(space, rows.WINDOW_MIN, n - watched)
+    return stays
 
 
 @inlined_part
@@ -290,12 +263,12 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
     blocked : int
         The lanes where not even the shortest span will probably pass.
     """
-    guards, count = space.guards, space.system.regimes[regime].guards
+    seen, count = space.seen, space.system.regimes[regime].guards
     shortest, spans = shortest_span(space, space.system.regimes[regime].flow), space.flows.span.shape[2]
-    h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most, spans)
+    h, k = curves.longest(shortest, seen, _START, OF_SEEN, count, at_most, spans)
     passes = int(k >= 0.0)
     for n in range(count):  # where a guard is zero with its slope, its series decides
-        passes &= (vectors.load(guards, n * OF_GUARD + _START) >= 0.0) & ~(_zero_order(space, n) > 1.0)
+        passes &= (vectors.load(seen, n * OF_SEEN + _START) >= 0.0) & ~(_zero_order(space, n) > 1.0)
     return h, k, ~passes
 
 
@@ -318,7 +291,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     shortest, zero = shortest_span(space, flow), vectors.splat(0.0)
     event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
-        start = load_curve(space.guards, n * OF_GUARD + _START)
+        start = load_curve(space.seen, n * OF_SEEN + _START)
         near = ~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (_zero_order(space, n) >= 2.0)
         space.near[n] = there & near
     for n in range(count):
@@ -331,7 +304,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
                 space.near[m] &= ~lanes
                 number = vectors.choose(lanes, float(m), number)
                 sign = vectors.choose(lanes, _sign(space, regime, m), sign)
-                shift = vectors.choose(lanes, _shift(space, m), shift)
+                shift = vectors.choose(lanes, _shift(space, regime, m), shift)
                 of_this = _scale(space, regime, m) if lash_of(system, regime, m) >= 0 else vectors.magnitude(shift)
                 scale = vectors.choose(lanes, of_this, scale)
                 order = vectors.choose(lanes, _zero_order(space, m), order)
@@ -339,7 +312,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
             continue
         origin = _origin(space, flow, guard.functional)
         functionals.expand(space, flow, guard.functional, sign, shift, origin)
-        sway = vectors.load(space.outputs, guard.first_alike * OF_OUTPUT + _SWAY)
+        sway = vectors.load(space.seen, guard.first_alike * OF_SEEN + _SWAY)
         noise = ROUNDING * (vectors.magnitude(origin.value) + vectors.magnitude(shift) + sway)
         if elements_of(system) > 1:  # another lash's event at the same time may have been located first
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
@@ -408,15 +381,14 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
     close : int
         The lanes where not even the shortest span will probably pass next.
     """
-    guards, entered = space.guards, space.system.regimes[regime]
+    seen, entered = space.seen, space.system.regimes[regime]
     shortest, failed, close = shortest_span(space, entered.flow), 0, 0
-    _see_guards(space, regime, True)
-    for n in range(entered.watched):
-        row = n * OF_GUARD
-        start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
-        least, _, remainder = curves.between(start, end, h)
-        vectors.store(guards, row + _LEAST, least)
-        vectors.store(guards, row + _REMAINDER, remainder)
+    _see(space, regime, _END)
+    for n in range(_seen(space, regime)):
+        row = n * OF_SEEN
+        start, end = load_curve(seen, row + _START), load_curve(seen, row + _END)
+        least, greatest = curves.between(start, end, h)
+        vectors.store(seen, row + _LEAST, (least, greatest))
         if n < entered.guards:
             close |= curves.guess(end, shortest) <= 0.0
             failed |= ~(vectors.smaller(least, end.value) > 0.0)
@@ -424,69 +396,69 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
 
 
 @inlined_part
-def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int) -> int:
-    """See what the accelerations did within a time h, and begin to search their extremes where one may count.
+def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advancing: int) -> int:
+    """Begin to search what counts of where functionals turn back within a step of time h; return the lanes.
 
-    Returns the lanes in which to search.
+    That is an acceleration beyond its window, or a guard so low that it is a near miss. Guards that are zero with their
+    slope at the beginning are passed over: there, rounding would show one.
     """
-    known, infinite, extremes = space.accelerations, vectors.splat(np.inf), 0
-    began = field(space, rows.ELAPSED) - h
-    for lash in range(lashes_of(space.system)):
-        end, _, _ = _acceleration(space, flow, lash)
-        _widen(space, lash, end.value)
-        top, bottom = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
-        turns = space.may_widen[lash] & advancing
-        if turns != 0:
-            start = load_curve(known, OF_ACCELERATION * lash)
-            least, greatest, remainder = curves.between(start, end, h)
-            monotone, _ = curves.turns_not(start, end, remainder, h)
-            turns &= ((greatest > top) | (least < bottom)) & ~monotone
-        extremes |= turns
-        if turns != 0:
-            wanted = Search(h, began, top, bottom, 0.0 * h + 1.0, 0.0 * h, infinite, -infinite)
-            f = lash * space.system.functionals_per_lash + ACCELERATION
-            begin_searches(space, flow, f, lash, turns, wanted)
-    return int(extremes)
-
-
-@inlined_part
-def _find_misses(space: Workspace, regime: int, event: Vector, h: Vector, advancing: int) -> int:
-    """Begin to search the lowest turn of guards where one may be a near miss; return the lanes.
-
-    A miss is a turn within the step. Guards that are zero with their slope at the beginning are passed over: there,
-    rounding would show one.
-    """
-    guards, elapsed, misses = space.guards, field(space, rows.ELAPSED), 0
-    for n in range(space.system.regimes[regime].watched):
-        held_from = field_of(space, rows.HELD_FROM, _lash(space, regime, n))
-        row = n * OF_GUARD
-        start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
-        least, remainder = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _REMAINDER)
-        starts_level = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
-        may = (
-            advancing & (elapsed > held_from) & (_scale(space, regime, n) > 0.0) & ~(event == float(n)) & ~starts_level
-        )
-        may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
-        monotone, bends_down = curves.turns_not(start, end, remainder, h)
-        may &= ~monotone & ~bends_down
-        misses |= may
+    elapsed, watched, turns = field(space, rows.ELAPSED), space.system.regimes[regime].watched, 0
+    for n in range(_seen(space, regime)):
+        row = n * OF_SEEN
+        start, end = load_curve(space.seen, row + _START), load_curve(space.seen, row + _END)
+        least, greatest = vectors.load(space.seen, row + _LEAST), vectors.load(space.seen, row + _GREATEST)
+        may, counts = advancing, vectors.splat(np.inf)
+        if n < watched:
+            held_from = field_of(space, rows.HELD_FROM, _lash(space, regime, n))
+            counts = elapsed - held_from
+            may &= (counts > 0.0) & (_scale(space, regime, n) > 0.0) & ~(event == float(n))
+            may &= ~((_zero_order(space, n) > 1.0) & (held_from <= 0.0))
+            may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
+        else:
+            high = field_of(space, rows.WINDOW_MAX, n - watched)
+            low = field_of(space, rows.WINDOW_MIN, n - watched)
+            may &= (greatest > high) | (least < low)
         if may != 0:
-            _begin_guard_search(space, regime, n, may, h, elapsed - h, elapsed - held_from, False)
-    return int(misses)
+            monotone, bends_down = curves.turns_not(start, end, h)
+            may &= ~(monotone | bends_down if n < watched else monotone)
+        if may != 0:
+            _begin_search(space, regime, n, may, h, elapsed - h, counts, False)
+        turns |= may
+    return int(turns)
 
 
-@inlined_part
-def _begin_guard_search(
+@part
+def _begin_search(
     space: Workspace, regime: int, n: int, mask: int, time_left: Vector, began: Vector, counts: Vector, deep: bool
 ) -> None:
-    """Begin to search the lowest turn of guard n within the step, or how deep it goes behind it, in some lanes."""
-    system, bar, infinite = space.system, _bar(space, regime, n), vectors.splat(np.inf)
-    guard, search, bottom, until = system.guards[regime, n], lashes_of(system) + n, bar, -infinite
-    if deep:
-        search, bottom, until = space.searches_each - 1, infinite, -bar
-    sign, shift = _sign(space, regime, n), _shift(space, n)
-    wanted = Search(time_left, began, infinite, bottom, sign, shift, counts, until)
-    begin_searches(space, system.regimes[regime].flow, guard.functional, search, mask, wanted)
+    """Begin to search the turns of functional n within the step, or how deep it goes behind it, in some lanes.
+
+    It begins at the state in the run's row: before `put_back` the beginning of the step, after it its end.
+    """
+    system, infinite, watched = space.system, vectors.splat(np.inf), space.system.regimes[regime].watched
+    search, top, bottom, until = n - watched, infinite, infinite, -infinite
+    if n >= watched:
+        top, bottom = field_of(space, rows.WINDOW_MAX, search), field_of(space, rows.WINDOW_MIN, search)
+    elif deep:
+        search, until = space.searches_each - 1, -_bar(space, regime, n)
+    else:
+        search, bottom = lashes_of(system) + n, _bar(space, regime, n)
+    sign, shift = _sign(space, regime, n), _shift(space, regime, n)
+    vectors.store(space.notes, 0, (time_left, began, top, bottom, sign, shift, counts, until))  # in the order of `rows`
+    queue = space.queues.search + system.regimes[regime].flow * space.flows.watch.shape[2]
+    while mask != 0:
+        lane = vectors.first_of(mask)
+        mask &= mask - 1
+        slot = space.pool.items[lane]
+        item = slot * space.searches_each + search
+        for k in range(space.behind):
+            space.searches[item, k] = space.numbers[slot, k]
+        for k in range(rows.OF_A_SEARCH):
+            space.searches[item, space.behind + k] = space.notes[k, lane]
+        for k in range(inputs_of(system)):
+            space.searches[item, space.behind + rows.OF_A_SEARCH + k] = space.numbers[slot, space.inputs_at + k]
+        space.runs[slot].searches += 1
+        push(space.pool, queue + _functional(space, regime, n), item)
 
 
 @inlined_part
@@ -495,7 +467,7 @@ def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) ->
     flow, depths, infinite = space.system.regimes[regime].flow, 0, vectors.splat(np.inf)
     longest, elapsed = _LONGEST_FALL * shortest_span(space, flow), field(space, rows.ELAPSED)
     for n in range(space.system.regimes[regime].guards):
-        end, mask = load_curve(space.guards, n * OF_GUARD + _END), 0
+        end, mask = load_curve(space.seen, n * OF_SEEN + _END), 0
         among = happened & (event == float(n)) & (_scale(space, regime, n) > 0.0)
         among &= ~(curves.falls_by(end) >= _bar(space, regime, n))  # it goes certainly deeper than the margin is
         while among != 0:
@@ -504,7 +476,7 @@ def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) ->
             mask |= int(label_hangs_on_depth(space, space.pool.items[lane], n)) << lane
         depths |= mask
         if mask != 0:
-            _begin_guard_search(space, regime, n, mask, longest, elapsed, infinite, True)
+            _begin_search(space, regime, n, mask, longest, elapsed, infinite, True)
     return depths
 
 

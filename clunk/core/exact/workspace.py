@@ -11,12 +11,12 @@ import numpy.typing as npt
 from clunk.core.events import EVENT
 from clunk.core.exact import rows
 from clunk.core.exact.flows import LONG, TERMS, Flows
-from clunk.core.jit import inlined_part, part
+from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
-from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
+from clunk.core.lanes.pool import Pool, aligned, make_pool, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import reference_at, rows_of
-from clunk.core.regimes import Each, System, inputs_of
+from clunk.core.regimes import Each, System
 from clunk.core.runs import Log
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
-OF_OUTPUT, OF_GUARD, OF_ACCELERATION = 6, 12, 5  # rows that a step keeps of a functional, and so on
+OF_SEEN = 13  # rows of lanes that a step keeps of a functional
 
 RUN = np.dtype(
     [
@@ -99,11 +99,8 @@ class Workspace(NamedTuple):
     margins: FloatArray  # (S, L)  of each run at its end
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
     # scratch of a step
-    outputs: FloatArray  # (G OF_OUTPUT, W)  see clunk.core.exact.step
-    guards: FloatArray  # (G OF_GUARD, W)
-    accelerations: FloatArray  # (L OF_ACCELERATION, W)
+    seen: FloatArray  # ((G + L) OF_SEEN, W)  see clunk.core.exact.step
     near: IntArray  # (G,)  lanes in which a guard may turn negative within the shortest span
-    may_widen: IntArray  # (L,)  lanes in which it can exceed what its window holds
     series: FloatArray  # (TERMS, W)
     amplitudes: FloatArray  # (C/2, W)  of the items that have been taken
     moved: FloatArray  # (2C, W)
@@ -169,11 +166,8 @@ def make_workspace(
         extremes=np.empty((slots, capacity, lashes, 2)),
         margins=np.empty((slots, lashes)),
         states=np.empty((slots, states, system.lashes.shape[1])),
-        outputs=aligned(most * OF_OUTPUT, WIDTH),
-        guards=aligned(most * OF_GUARD, WIDTH),
-        accelerations=aligned(lashes * OF_ACCELERATION, WIDTH),
+        seen=aligned((most + lashes) * OF_SEEN, WIDTH),
         near=np.zeros(most, np.int64),
-        may_widen=np.zeros(lashes, np.int64),
         series=aligned(TERMS, WIDTH),
         amplitudes=aligned(size // 2, WIDTH),
         moved=aligned(2 * size, WIDTH),
@@ -258,41 +252,3 @@ def is_still(space: Workspace, flow: int) -> bool:
 def log_of(space: Workspace, slot: int) -> Log:
     """The events of a run, and its states."""
     return Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
-
-
-class Search(NamedTuple):
-    """The numbers of searches to be begun, in lanes and the order of `rows`."""
-
-    time_left: Vector
-    elapsed: Vector
-    top: Vector
-    bottom: Vector
-    sign: Vector
-    shift: Vector
-    counts: Vector
-    until: Vector
-
-
-@part
-def begin_searches(space: Workspace, flow: int, functional: int, search: int, mask: int, wanted: Search) -> None:
-    """Begin a search in a functional in some lanes, and append it to its queue.
-
-    It begins at the state in the run's row: before `put_back` the beginning of the step, after it its end.
-
-    search : which of a run's searches that is
-    """
-    queue = space.queues.search + flow * space.flows.watch.shape[2] + functional
-    vectors.store(space.notes, 0, wanted)
-    while mask != 0:
-        lane = vectors.first_of(mask)
-        mask &= mask - 1
-        slot = space.pool.items[lane]
-        item = slot * space.searches_each + search
-        for k in range(space.behind):
-            space.searches[item, k] = space.numbers[slot, k]
-        for k in range(rows.OF_A_SEARCH):
-            space.searches[item, space.behind + k] = space.notes[k, lane]
-        for k in range(inputs_of(space.system)):
-            space.searches[item, space.behind + rows.OF_A_SEARCH + k] = space.numbers[slot, space.inputs_at + k]
-        space.runs[slot].searches += 1
-        push(space.pool, queue, item)
