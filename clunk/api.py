@@ -278,9 +278,8 @@ def _run(
     if path is not None:
         files.check(path, files.RESULTS)
     with sweeping.opened(path, study, restart=restart, force=force) as job:
-        if job.is_complete:
-            result = job.finished()
-        else:
+        result = job.held
+        if result is None:
             with engine as executor, reporting(progress, sweeping.cell_count(study), study) as report:
                 result = job.run(executor, progress=report)
         return job.finish(result, addition)

@@ -20,14 +20,6 @@ def test_runs_are_a_file_like_any_other(single, tmp_path):
     assert clunk.study_from_text(again.config).sweep is None
 
 
-def test_other_points_have_another_digest(single):
-    digests = {
-        clunk.run_points(single, points).config_digest
-        for points in ({"load.ratio": [1.0]}, {"load.ratio": [2.0]}, {"lash.backlash_deg": [1.0]})
-    }
-    assert len(digests) == 3
-
-
 @pytest.mark.parametrize(
     ("points", "sentence"),
     [

@@ -43,11 +43,6 @@ def test_tiles_of_any_cells_in_any_order_give_the_same_bits(study):
     assert equal(whole, assembled(study, [[k] for k in range(80, -1, -1)]))
 
 
-def test_cells_that_come_twice_count_once(study):
-    twice = assembled(study, [range(50), range(30, 81), range(81)])
-    assert equal(twice, sweep(study))
-
-
 def test_a_stopped_tile_has_the_cells_that_are_done(study):
     stopped = Grid(study).run(np.arange(20), np.ones(1, np.uint8))
     assert stopped.cells.size == stopped.records.size == stopped.details.size == 0

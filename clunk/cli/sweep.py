@@ -86,9 +86,9 @@ def sweep(
 
     opening = engine_of(scheduler, workers, say=terminal.complain)
     with opened(target, study, retry=retry_failed, restart=restart, force=force, say=terminal.complain) as job:
-        if job.is_complete:
+        result = job.held
+        if result is not None:
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
-            result = job.finished()
         else:
             terminal.warn(study, "swept")
             with progress.reporting(True, job.design.cells, study) as show, opening as engine:
@@ -98,7 +98,7 @@ def sweep(
         failed = _report(result, job, as_json)
         if traces:
             _trace(job, result, study, lash, workers)
-        if not job.is_complete:
+        if job.held is None:
             terminal.say_written(target)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
@@ -134,9 +134,8 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     draws = result.draws if isinstance(result, ToleranceMap) else 0
     first = result.of_lash()  # all lashes of a cell fail together
     failed = first.failed if isinstance(first, ToleranceMap) else int((first.status != 0).sum())
-    if not job.is_complete:
-        taken_up = 0 if job.parts is None else job.parts.taken_up
-        runs = (job.ran - taken_up) * (draws + 1)  # and nominally
+    if job.held is None:
+        runs = job.ran * (draws + 1)  # and nominally
         rate = f" ({runs / job.seconds:,.0f} runs/s)" if runs > 0 and job.seconds > 0.0 else ""
         each = f" x {draws:,} draws" if draws else ""
         click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s{rate}", err=True)

@@ -231,10 +231,12 @@ def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
         for axis, values in zip(boundaries.axes, getattr(boundaries, field).T, strict=False):
             attributes = {"units": axis.unit, "long_name": axis.name}
             variables[f"{prefix}_{axis.variable}"] = Variable((dim,), np.ascontiguousarray(values), attributes)
-    lengths = {dim: n for each in variables.values() for dim, n in zip(each.dims, each.values.shape, strict=True)}
-    numbers = {dim: np.arange(1, length + 1, dtype=np.int32) for dim, length in lengths.items()}
-    described: dict[str, str | Array] = {"units": "1", "long_name": "number"}
-    return {dim: Variable((dim,), each, described) for dim, each in numbers.items()} | variables
+    numbers: dict[str, Variable] = {}
+    for each in variables.values():
+        for dim, length in zip(each.dims, each.values.shape, strict=True):
+            values = np.arange(1, length + 1, dtype=np.int32)
+            numbers[dim] = Variable((dim,), values, {"units": "1", "long_name": "number"})
+    return numbers | variables
 
 
 def boundaries_of(variables: Mapping[str, Variable], axes: tuple[ResultAxis, ...]) -> Boundaries | None:

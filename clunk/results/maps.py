@@ -508,11 +508,4 @@ class ToleranceMap(Map):
         return [*rows, failed] if self.failed else rows
 
 
-def most_likely(runs: npt.NDArray[np.int32]) -> npt.NDArray[np.int16]:
-    """Codes of the labels with the most runs; of several, of the first; -1 where most failed."""
-    code: npt.NDArray[np.int16] = np.argmax(runs, axis=-1).astype(np.int16)
-    code[code == runs.shape[-1] - 1] = FAILED_CODE
-    return code
-
-
 AnyMap = Results | ToleranceMap

@@ -273,8 +273,7 @@ def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | No
 def no_quantity(text: str, known: Collection[str], name: str = "") -> ClunkError:
     """Error for a quantity that is not among the known ones; name : without what it is compared with."""
     name = name or text.strip()
-    symbols = {each.symbol: key for quantities in _MAPS.values() for key, each in quantities.items() if key in known}
-    likely = (symbols.get(name) if name else None) or nearest(name, known)
+    likely = nearest(name, known)
     hint = f"; did you mean {likely}?" if likely else "."
     if name in OF_IMPACTS:
         hint = f"; impacts.quantities = [{name!r}] in the config measures it."

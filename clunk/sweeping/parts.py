@@ -29,6 +29,7 @@ from clunk.study.document import leaves
 from clunk.study.errors import ClunkError, ConfigError, shorten
 from clunk.study.study import Study, decisive_content, digest, to_toml
 from clunk.sweeping.cells import Tile
+from clunk.sweeping.engines import deferred_signals
 from clunk.sweeping.machine import versions
 
 _ARRAYS = ("cells", "records", "details")
@@ -146,9 +147,6 @@ class Parts:
             self.taken_up += tile.cells.size
             self.kept += tile.cells.size
             yield tile
-        for path in self.directory.path.glob(".*.tmp"):  # of a process that was killed while it wrote
-            with suppress(OSError):
-                path.unlink()
 
     def add(self, tile: Tile) -> None:
         """Keep a tile; tiles that have accumulated are written as a part now and then. Raises PartsError."""
@@ -164,23 +162,24 @@ class Parts:
         """Write the tiles that have accumulated. Raises PartsError."""
         if not self._waiting:
             return
-        try:
-            manifest = self.directory.path / "manifest.json"
-            text = json.dumps(self._manifest, indent=1, ensure_ascii=False)
-            if not manifest.exists():
-                write_whole(manifest, lambda file: file.write(text.encode()))
-            part = to_bytes(self._waiting, self._origin)
-            write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.write(part))
-        except OSError as error:
-            raise PartsError(
-                f"{self.directory.path} cannot take the finished cells: {reason(error)}; "
-                "the same command goes on from what is there."
-            ) from error
-        self._number += 1
-        self.kept += self._cells_waiting
-        self._cells_waiting = 0
-        self._waiting.clear()  # after it is on the disk; written twice, a cell is read once
-        self._written = time.monotonic()
+        with deferred_signals():  # what has been written is noted
+            try:
+                manifest = self.directory.path / "manifest.json"
+                if not manifest.exists():
+                    text = json.dumps(self._manifest, indent=1, ensure_ascii=False)
+                    write_whole(manifest, lambda file: file.write(text.encode()))
+                part = to_bytes(self._waiting, self._origin)
+                write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.write(part))
+            except OSError as error:
+                raise PartsError(
+                    f"{self.directory.path} cannot take the finished cells: {reason(error)}; "
+                    "the same command goes on from what is there."
+                ) from error
+            self._number += 1
+            self.kept += self._cells_waiting
+            self._cells_waiting = 0
+            self._waiting.clear()
+            self._written = time.monotonic()
 
     def _refuse_other_sweeps(self, study: Study) -> None:
         """Compare with the directory's manifest; one that cannot be read is removed, as parts identify themselves."""

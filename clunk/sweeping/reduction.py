@@ -89,14 +89,8 @@ class Reduction:
         self._details: list[tuple[Cells, Records]] = []  # rows, and the details of these behind one another
 
     def add(self, tile: Tile) -> None:
-        """Add a tile's cells; those that are there already are passed over."""
-        new, layout = ~self.known[tile.cells], self.grid.layout
-        if not new.all():
-            kept = np.repeat(new, layout.lashes)
-            tile = Tile(
-                tile.cells[new], tile.records[kept], tile.details[np.repeat(kept, tile.records[layout.counted_by])]
-            )
-        rows = layout.rows(tile.cells)
+        """Add a tile's cells, none of which is there already."""
+        rows = self.grid.layout.rows(tile.cells)
         self._records[rows] = tile.records
         self._details.append((rows, tile.details))
         self.known[tile.cells] = True

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import cached_property
-from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +20,7 @@ from clunk.study.study import Study
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.machine import provenance
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.reduction import Reduction, heading_of, regime_map
+from clunk.sweeping.reduction import Reduction, regime_map
 
 
 class Runner:
@@ -91,16 +89,8 @@ class Runner:
     def run(self, values: Floats, progress: Progress | None = None) -> Results:
         """Run points, (n, keys), whose values are allowed."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
-        reduction.heading["config_digest"] = self.digest(values)
         reduction.run(self._engine, self._workers, progress)
         return regime_map(reduction, self._attributes)
-
-    def digest(self, values: Floats) -> str:
-        """Digest of all that decides the results of points: the study, and the keys' values, in whatever order."""
-        decisive = hashlib.sha256(heading_of(self.study)["config_digest"].encode())
-        for key, column in sorted(zip(self.keys, values.T, strict=True), key=itemgetter(0)):
-            decisive.update(key.encode() + b"\0" + column.tobytes())
-        return decisive.hexdigest()
 
     def values(self, columns: Mapping[str, npt.ArrayLike]) -> Floats:
         """Values of the keys, (n, keys), from those of each, (n,) or one for all."""

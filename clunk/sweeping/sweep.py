@@ -49,9 +49,9 @@ class Job:
     earlier : finished results of the study, of which only the failed cells are run
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
-    is_complete : whether the file is complete already, so that there is nothing to run
+    held : the complete map that the file holds, so that there is nothing to run
     say : called with messages on what is taken up
-    ran, seconds : number of cells that `run` has run, and the time that they took
+    ran, seconds : number of cells that `run` has run, and the time that it took
     """
 
     def __init__(
@@ -62,13 +62,13 @@ class Job:
         earlier: Results | None = None,
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
-        is_complete: bool = False,
+        held: AnyMap | None = None,
         say: Callable[[str], None] | None = None,
     ) -> None:
         self.study = study
         self.design = design or design_of(study)
         self.earlier = earlier
-        self.directory, self.path, self.is_complete = directory, path, is_complete
+        self.directory, self.path, self.held = directory, path, held
         self.ran, self.seconds = 0, 0.0
         self._say = say or (lambda _text: None)
 
@@ -93,11 +93,6 @@ class Job:
         """Finished cells on the disk, if they are kept. Raises PartsError where they are another sweep's."""
         return None if self.directory is None or self.earlier is not None else Parts(self.directory, self.study)
 
-    def finished(self) -> AnyMap:
-        """Read the map that is complete already. Raises StoreError."""
-        assert self.path is not None
-        return read_map(self.path)
-
     def finish(self, result: AnyMap, addition: Callable[[AnyMap], AnyMap] | None = None) -> AnyMap:
         """Add something to a map, and write it to its file, if it has one; without the addition where that is stopped.
 
@@ -114,8 +109,7 @@ class Job:
                 )
             raise
         finally:
-            is_new = added is not result or not self.is_complete
-            if is_new and self.path is not None and self.directory is not None:
+            if added is not self.held and self.path is not None and self.directory is not None:
                 write_results(self.path, added, self.directory.path)
                 with suppress(PartsError):  # the map is in its file: parts of it that cannot be removed stay
                     self.directory.clear()
@@ -132,7 +126,7 @@ class Job:
 
         engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads
         workers : number of these threads; by default one for each core that this process may use
-        progress : called in this thread with the number of cells, first of those taken up and then after each tile
+        progress : called in this thread with the number of cells, first of those finished before, then after each tile
 
         Raises as `clunk.sweep`.
         """
@@ -141,16 +135,17 @@ class Job:
         shared = reduction.grid.shared()
         if shared is not None and (status := Status(shared.status)) != Status.OK:
             raise ClunkError(f"No cell can run: {explained(self.study, status)}.")
+        if parts is not None:
+            for tile in parts.read():
+                reduction.add(tile)
+            if parts.discarded:
+                discarded = counted(parts.discarded, "part")
+                self._say(f"{discarded} of other versions, or damaged: their cells are run again")
+            if parts.taken_up:
+                self._say(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there")
         before = reduction.done
-        for tile in parts.read() if parts is not None else ():
-            reduction.add(tile)
-        if parts is not None and parts.discarded:
-            discarded = counted(parts.discarded, "part")
-            self._say(f"{discarded} of other versions, or damaged: their cells are run again")
-        if parts is not None and parts.taken_up:
-            self._say(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there")
-            if progress is not None:
-                progress(reduction.done, self.design.cells)
+        if before and progress is not None:
+            progress(before, self.design.cells)
         try:
             reduction.run(engine, workers, progress, None if parts is None else parts.add)
         except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
@@ -198,27 +193,24 @@ def opened(
     with WorkingDirectory(path) as directory:
         if retry:
             earlier = read_results(path)
-            is_complete = not failed_cells(earlier).size
-            job = Job(study, earlier=earlier, directory=directory, path=path, is_complete=is_complete)
+            whole = None if failed_cells(earlier).size else earlier
+            job = Job(study, earlier=earlier, directory=directory, path=path, held=whole)
         else:
-            is_complete = path.exists() and not force
-            if is_complete:
-                _refuse_others(path, study)
-                is_complete = not restart
-            job = Job(study, directory=directory, path=path, is_complete=is_complete, say=say)
+            held = _held(path, study) if path.exists() and not force else None
+            job = Job(study, directory=directory, path=path, held=None if restart else held, say=say)
             if restart:
                 directory.clear()
-            elif is_complete and directory.parts():  # of a process that was killed when its file was in place
+            elif held is not None and directory.parts():  # of a process that was killed when its file was in place
                 with suppress(PartsError):  # another sweep's parts stay
                     _ = job.parts
                     directory.clear()
-        if not is_complete:
+        if job.held is None:
             _ = job.reduction, job.parts  # what cannot run is refused before anything is compiled
         yield job
 
 
-def _refuse_others(path: Path, study: Study) -> None:
-    """Raise ClunkError where a file holds anything else than this very sweep."""
+def _held(path: Path, study: Study) -> AnyMap:
+    """The map that a file holds. Raises ClunkError where it is of anything else than this very sweep."""
     try:
         held = read_map(path)
     except StoreError as error:
@@ -226,6 +218,7 @@ def _refuse_others(path: Path, study: Study) -> None:
     if held.config_digest != digest(study):
         differing = differences(held.config, study)
         raise ClunkError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
+    return held
 
 
 def _refuse_if_too_large(shape: Sequence[int]) -> None:

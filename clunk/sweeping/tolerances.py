@@ -16,7 +16,7 @@ import numpy.typing as npt
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
-from clunk.results.maps import QUANTILES, ToleranceMap, most_likely
+from clunk.results.maps import QUANTILES, ToleranceMap
 from clunk.study.arrays import Cells, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import along_run
@@ -104,6 +104,8 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
     runs = np.zeros((reduction.rows, len(labels) + 1), np.int32)
     runs[np.repeat(np.arange(reduction.rows), count), codes] = outcomes["runs"]
     runs[:, FAILED_CODE] = grid.draws - runs.sum(axis=1)
+    sequence = runs.argmax(axis=1).astype(np.int16)  # of equally likely labels the first
+    sequence[sequence == len(labels)] = FAILED_CODE
     is_known = records["nominal_status"] == Status.OK
     nominal = np.full(reduction.rows, FAILED_CODE, np.int16)
     nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
@@ -113,7 +115,7 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
         sample=sample_of(reduction.study, grid.drawn),
         arrays={
             "probability": (runs / grid.draws).reshape(*shape, len(labels) + 1),
-            "sequence": most_likely(runs).reshape(shape),
+            "sequence": sequence.reshape(shape),
             "nominal_sequence": nominal.reshape(shape),
             "severity_mean": records["severity_mean"].reshape(shape),
             "severity_quantiles": records["severity_quantiles"].reshape(*shape, len(QUANTILES)),
