@@ -13,7 +13,6 @@ from bokeh.models import (
     ColorBar,
     ColumnDataSource,
     CustomJS,
-    DataRange1d,
     Div,
     LinearColorMapper,
     Model,
@@ -285,8 +284,6 @@ class RunFigures:
         self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
         # all curves of all panels in one source
         self._curves = _source(" ".join(["colour", *(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy")]))
-        unit = [[0.0, 1.0]]  # a line to begin with: without any, ranges are complained of in the browser's console
-        self._curves.data = dict.fromkeys(self._curves.data, unit) | {"colour": ["white"]}
         self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
         lash, acceleration = self.figures["lash"], self.figures["acceleration"]
         gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
@@ -303,6 +300,7 @@ class RunFigures:
         for name in ("start", "end"):
             self._time.on_change(name, self._on_zoom)
         models = {"time": self._time, "gap": gap, "curves": self._curves, "flanks": flanks, "touches": touches}
+        models |= {name: panel.y_range for name, panel in self.figures.items()}
         models |= {"arrows": arrows, "header": self.header, "compared": self.compared, "events": self.events}
         self.message = Message(models)
         lash.tags = [self.message.source]  # a part of the page that is not drawn
@@ -312,7 +310,7 @@ class RunFigures:
         plot = figure(
             name=panel.name,
             x_range=self._time,
-            y_range=DataRange1d(range_padding=panel.padding),
+            y_range=Range1d(0.0, 1.0),
             y_axis_label=panel.label,
             lod_threshold=None,
             tools="xpan,xwheel_zoom,xbox_zoom,reset",
@@ -387,15 +385,22 @@ class RunFigures:
         begin, end = self._span
         shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
         data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
+        changes: Changes = {}
         for panel in _PANELS:
             curves = [thinned(run.time, panel.values(run), begin, end, _COLUMNS) for run, _ in shown]
             data[f"{panel.name}_x"], data[f"{panel.name}_y"] = [x for x, _ in curves], [y for _, y in curves]
+            if shown:  # else the browser finds the range and tells the server, some 4 ms for each panel
+                flanks = [*flank_names(self._runs[:1])] if panel.name == "lash" else []
+                heights = np.concatenate([flanks, *(y for _, y in curves)])
+                low, high = float(heights.min()), float(heights.max())
+                around = 0.5 * panel.padding * (high - low) or 1.0
+                changes[panel.name] = {"start": low - around, "end": high + around}
         arrows = [
             (each.begin + 0.012 * (end - begin), each.smallest, each.largest, f"Q{each.number}")
             for run in self._runs[:1]
             for each in measured_impacts(run)
         ]
-        return {"curves": {"data": data}, "arrows": _columns(_ARROWS, arrows)}
+        return {"curves": {"data": data}, "arrows": _columns(_ARROWS, arrows), **changes}
 
     def _marks(self) -> Changes:
         """Flanks and touches of the run that is shown."""

@@ -40,7 +40,8 @@ _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the 
 _KEEP_LINK = """
 const {name, value} = cb_obj.data;
 const state = new URLSearchParams([...name].map((each, k) => [each, value[k]]));
-history.replaceState(null, "", `?${state}`);
+clearTimeout(window.keptLink);
+window.keptLink = setTimeout(() => history.replaceState(null, "", `?${state}`), 100);  // it takes 5 ms: after the run
 """
 _ENDED = """
 if (!document.getElementById("ended")) {
@@ -209,8 +210,6 @@ class Workbench:
 
     def _on_change(self) -> None:
         self._hovered = None
-        self._mark()
-        self._keep_link()
         self._request_run()
         self._request_map()
 
@@ -286,6 +285,9 @@ class Workbench:
         if shown is None:
             self._figures.refuse(refusal)
         self._show_runs()
+        # with the run: before, the browser would draw the map, and take that much later what the run sends
+        self._mark()
+        self._keep_link()
         self._pin_where_wanted()
 
     def _pin_where_wanted(self) -> None:
