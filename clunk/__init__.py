@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from clunk.results.netcdf import StoreError as StoreError
     from clunk.results.store import (
         open_results as open_results,
+        read_map as read_map,
         read_results as read_results,
-        read_tolerance_map as read_tolerance_map,
         to_dataset as to_dataset,
         write_results as write_results,
     )
@@ -74,8 +74,8 @@ _HOME = {
     "open_results": "results.store",
     "optimize": "analysis.optimisation",
     "plot": "plot",
+    "read_map": "results.store",
     "read_results": "results.store",
-    "read_tolerance_map": "results.store",
     "replace_values": "study.study",
     "run_points": "api",
     "sensitivity": "analysis.sobol",

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import xarray
 from conftest import EXACT, axis, values
+from helpers.maps import CELL_QUANTITIES, IMPACT_QUANTITIES
 from test_store import BACKLASH, RATIO, assert_same, example
 from test_sweeping import digest_of
 
 import clunk
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.errors import ClunkError
 from clunk.study.study import digest
 from clunk.sweeping import progress

@@ -13,12 +13,12 @@ import click
 import numpy as np
 import pytest
 from conftest import EXACT, axis
+from helpers.maps import CELL_QUANTITIES, IMPACT_QUANTITIES
 from matplotlib.text import Text
 
 from clunk.api import draw
 from clunk.cli import cli
 from clunk.core.status import QUALITY_COMPLETE
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read_results
 from clunk.study.config import load_study
 
@@ -135,9 +135,9 @@ def test_failed_cells_are_run_again_and_the_file_says_so(command, small, here):
     assert np.array_equal(before.severity[~failed], after.severity[~failed])
     note = after.attributes["retried"]
     assert note.startswith(
-        f"{np.count_nonzero(failed)} failed cells run again with solver.max_events = 14 instead of 10"
+        f"{np.count_nonzero(failed)} failed cells run again (solver.max_events = 10 there, 14 here): "
     )
-    assert "solver.max_events = 100000 instead of 10: 0 failed again" in note
+    assert "(solver.max_events = 10 there, 100000 here): 0 failed again" in note
     assert "already complete" in command("sweep", small, *few)[2]  # the file's config is still its own
     assert "has no failed cells" in command("sweep", small, "--retry-failed")[2]
     command("sweep", small, "-o", "dense.h5")

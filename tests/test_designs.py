@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 from conftest import EXACT, axis, drawn, values
+from helpers.maps import IMPACT_QUANTITIES
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
 from clunk.analysis.comparison import compare
-from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text

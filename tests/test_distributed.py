@@ -270,7 +270,7 @@ class TestAnEndBeforeTheEnd:
         if scheduler == "by hand":
             alone.worker()
             scheduler = alone.address
-        often = "from clunk.sweeping import parts; parts._FIRST_PART = parts._PART = parts._SHARE = 0.0"
+        often = "from clunk.sweeping import parts; parts._PART = parts._SHARE = 0.0"
         slow = ["--set", "solver.step=1e-6", "--scheduler", scheduler]
         process = clunk(directory, *slow, before=often)
         while not (directory / "map.h5.partial" / "part-000001").exists():

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from helpers.maps import CELL_QUANTITIES
 from scipy.io import loadmat
 from test_store import BACKLASH, INERTIA, RATIO, example, padded
 from test_tolerances import DRIVELINE, study, tolerance
@@ -12,7 +13,6 @@ import clunk as clunk_api
 from clunk.results import store
 from clunk.results.export import save
 from clunk.results.maps import QUANTILES
-from clunk.results.quantities import CELL_QUANTITIES
 from clunk.study.config import study_from_text
 
 

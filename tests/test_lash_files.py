@@ -7,14 +7,14 @@ import re
 import h5py
 import numpy as np
 import pytest
-from helpers.maps import map_of
+from helpers.maps import CELL_QUANTITIES, map_of
 from scipy.io import loadmat
 from test_store import padded
 
 import clunk
 from clunk.results import export
 from clunk.results.export import save_history
-from clunk.results.quantities import CELL_QUANTITIES, REGIME_QUANTITIES
+from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.simulation.history import sample
 from clunk.study.axes import ResultAxis, lash_axis
 

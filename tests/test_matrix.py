@@ -11,12 +11,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import tomli_w
+from helpers.maps import CELL_QUANTITIES
 from helpers.studies import random_study
 
 import clunk
 from clunk.analysis.comparison import METHODS, with_method
 from clunk.core.status import Status
-from clunk.results.quantities import CELL_QUANTITIES
 from clunk.simulation.energy import balance
 from clunk.study.config import study_from_text
 from clunk.study.designs import has_tolerances

@@ -34,7 +34,7 @@ def target(tmp_path):
 @pytest.fixture
 def often(monkeypatch):
     """A part for every tile."""
-    for name in ("_FIRST_PART", "_PART", "_SHARE"):
+    for name in ("_PART", "_SHARE"):
         monkeypatch.setattr(keeping, name, 0.0)
 
 
@@ -200,7 +200,7 @@ RUN = """
 import os, signal, sys, time
 from clunk.sweeping import parts
 from clunk.results import store
-parts._FIRST_PART = parts._PART = parts._SHARE = 0.0
+parts._PART = parts._SHARE = 0.0
 moment = sys.argv.pop(1)
 die = lambda: os.kill(os.getpid(), signal.SIGKILL)
 count = 0

@@ -12,13 +12,12 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from helpers.maps import with_arrays
+from helpers.maps import CELL_QUANTITIES, IMPACT_QUANTITIES, with_arrays
 
 from clunk.core.status import Status
 from clunk.results import netcdf, store
 from clunk.results.files import reason
 from clunk.results.maps import Results
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
 

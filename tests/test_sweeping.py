@@ -3,9 +3,9 @@
 import h5py
 import numpy as np
 import pytest
+from helpers.maps import CELL_QUANTITIES, IMPACT_QUANTITIES
 
 from clunk.core.status import Status
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError

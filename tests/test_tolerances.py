@@ -210,7 +210,7 @@ class TestTiles:
 
     def test_a_stopped_sweep_goes_on_where_it_was(self, found, toleranced, tmp_path, monkeypatch):
         monkeypatch.setattr(tolerances, "_TILE_RUNS", 160)
-        for name in ("_FIRST_PART", "_PART", "_SHARE"):
+        for name in ("_PART", "_SHARE"):
             monkeypatch.setattr(keeping, name, 0.0)
 
         def stop(done, _total):
@@ -244,7 +244,7 @@ def path(found, tmp_path_factory):
 
 class TestFile:
     def test_what_was_written_is_read(self, found, path):
-        again = store.read_tolerance_map(path)
+        again = store.read_map(path)
         assert equal(found, again)
         assert again.config == found.config
         for one, other in zip((*found.axes, *found.sample), (*again.axes, *again.sample), strict=True):
@@ -272,12 +272,9 @@ class TestFile:
             for name, variable in data.variables.items():
                 assert "long_name" in variable.attrs, name
 
-    def test_neither_kind_is_read_as_the_other(self, path, toleranced, tmp_path):
+    def test_it_is_not_read_as_a_regime_map(self, path):
         with pytest.raises(StoreError, match="holds a tolerance map, where a regime map is needed"):
             read_results(path)
-        store.write_results(tmp_path / "plain.h5", sweep(nominal(toleranced)))
-        with pytest.raises(StoreError, match="holds a regime map, where a tolerance map is needed"):
-            store.read_tolerance_map(tmp_path / "plain.h5")
 
 
 class TestCommands:

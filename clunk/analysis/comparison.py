@@ -19,7 +19,7 @@ import numpy as np
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
-from clunk.results.quantities import IMPACT_QUANTITIES, REGIME_QUANTITIES
+from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import nominal
@@ -282,7 +282,7 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
 def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Difference]:
     """Those over the cells with equal labels, whose primary impacts correspond one to one."""
     for name in ("impact_time", "last_event_time", "severity", "impact_severity", "approach_velocity"):
-        counts = [each.primary_impacts.ravel() if name in IMPACT_QUANTITIES else 1 for each in (a, b)]
+        counts = [each.primary_impacts.ravel() if REGIME_QUANTITIES[name].dimension else 1 for each in (a, b)]
         # the cell of each value; with equal labels both maps have as many values in it
         cells = [np.repeat(np.arange(equal.size), count) for count in counts]
         compared = [equal.ravel()[each] for each in cells]

@@ -190,8 +190,6 @@ def _read() -> dict[str, dict[str, Quantity]]:
 
 _MAPS = _read()
 REGIME_QUANTITIES = _MAPS["regimes"]
-CELL_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if not each.dimension}
-IMPACT_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if each.dimension == "impact"}
 TOLERANCE_QUANTITIES = _MAPS["tolerances"]
 OF_RUNS = _MAPS["runs"]
 
@@ -225,7 +223,7 @@ def quantities_of(source: Study | AnyMap) -> dict[str, Quantity]:
     if not isinstance(source, Study):
         return source.quantities_of_cells
     measured = measured_quantities(OF_IMPACTS, [dict(each) for each in source.measures])
-    return {LABEL: OF_RUNS[LABEL]} | named_numbers(CELL_QUANTITIES | measured) | OF_RUNS
+    return {LABEL: OF_RUNS[LABEL]} | named_numbers(REGIME_QUANTITIES | measured) | OF_RUNS
 
 
 def quantity_of(text: str, source: Study | AnyMap) -> Quantity:

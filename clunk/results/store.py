@@ -76,8 +76,8 @@ def read_results(path: str | os.PathLike[str]) -> Results:
     return results
 
 
-def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
-    """Read a tolerance map whole, its bytes compared with their checksum. Raises StoreError.
+def read_map(path: str | os.PathLike[str]) -> AnyMap:
+    """Read whichever map a results file holds, as `read_results`. Raises StoreError.
 
     Examples
     --------
@@ -85,17 +85,9 @@ def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
     >>> fewer = ["sweep.sampling.count=4", "sweep.axes[1].count=3", "sweep.axes[2].count=3"]
     >>> study = clunk.load_study("configs/tolerance.toml", fewer)
     >>> tolerances = clunk.tolerance_map(study, "results/tolerance.h5")
-    >>> clunk.read_tolerance_map("results/tolerance.h5").draws
+    >>> clunk.read_map("results/tolerance.h5").draws
     4
     """
-    results = read_map(path)
-    if not isinstance(results, ToleranceMap):
-        raise StoreError(f"{path} holds a regime map, where a tolerance map is needed.")
-    return results
-
-
-def read_map(path: str | os.PathLike[str]) -> AnyMap:
-    """Read whichever map a results file holds, as `read_results` and `read_tolerance_map`. Raises StoreError."""
     return map_of(read(path))
 
 

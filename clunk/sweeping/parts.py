@@ -34,8 +34,7 @@ from clunk.sweeping.machine import versions
 
 _ARRAYS = ("cells", "records", "details")
 _DIGEST = 32  # bytes of SHA-256
-_FIRST_PART = 2.0  # s: a shorter sweep is as soon run again
-_PART = 1.5  # s, at least; a part of 20,000 cells is 3 MB and takes 25 ms
+_PART = 2.0  # s, at least: a shorter sweep is as soon run again; a part of 20,000 cells is 3 MB and takes 25 ms
 _LONGEST_PART = 30.0  # s
 _LARGEST_PART = 1 << 20  # cells, about 120 MB: many workers are faster than any clock
 _SHARE = 0.02  # of the time so far: what may be lost, so that a day's sweep is not 50,000 files
@@ -154,8 +153,7 @@ class Parts:
         self._cells_waiting += tile.cells.size
         now = time.monotonic()
         pause = min(max(_PART, _SHARE * (now - self._began)), _LONGEST_PART)
-        due = now - self._written >= (pause if self._number else _FIRST_PART)
-        if due or self._cells_waiting >= _LARGEST_PART:
+        if now - self._written >= pause or self._cells_waiting >= _LARGEST_PART:
             self.flush()
 
     def flush(self) -> None:

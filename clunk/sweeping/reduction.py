@@ -28,6 +28,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.cells import Grid, Layout, Tile
 from clunk.sweeping.engines import run_tiles
+from clunk.sweeping.parts import differences
 from clunk.sweeping.progress import Progress
 
 
@@ -173,16 +174,9 @@ def finished_cells(study: Study, results: Results, layout: Layout) -> Tile:
 def mended(earlier: Results, again: Results, study: Study) -> Results:
     """A finished sweep with its failed cells run again, of which the attribute `retried` tells; study : of these."""
     failed = failed_cells(earlier)
-    solver = study_from_text(earlier.config).solver.model_dump()
-    changes = [
-        f"solver.{key} = {value} instead of {solver[key]}"
-        for key, value in study.solver.model_dump().items()
-        if value != solver[key]
-    ]
-    more = failed.size - 100
-    cells = ", ".join(map(str, failed[:100])) + (f", … ({more} more)" if more > 0 else "")
+    cells = ", ".join(map(str, failed[:100])) + (", …" if failed.size > 100 else "")
     note = (
-        f"{failed.size} failed cells run again with {', '.join(changes) or 'the same solver'}: "
+        f"{failed.size} failed cells run again ({differences(earlier.config, study) or 'with the same solver'}): "
         f"{failed_cells(again).size} failed again; cells {cells} in C order"
     )
     retried = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)

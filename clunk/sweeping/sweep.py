@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager, suppress
-from functools import cached_property
 from pathlib import Path
 
 from clunk.core.status import Status
@@ -44,12 +43,15 @@ _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=T
 class Job:
     """A sweep, from the cells that are finished already to its map; `opened` makes one of a results file.
 
+    Raises ClunkError where nothing can run or the arrays don't fit in memory, and PartsError where `directory` holds
+    another sweep's cells.
+
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
     earlier : finished results of the study, of which only the failed cells are run
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
-    held : the complete map that the file holds, so that there is nothing to run
+    held : the complete map that the file holds: there is nothing to run
     say : called with messages on what is taken up
     ran, seconds : number of cells that `run` has run, and the time that it took
     """
@@ -71,27 +73,25 @@ class Job:
         self.directory, self.path, self.held = directory, path, held
         self.ran, self.seconds = 0, 0.0
         self._say = say or (lambda _text: None)
+        self.parts: Parts | None = None
+        if held is None:
+            self._reduction = self._empty()
+            if earlier is not None:
+                self._reduction.add(finished_cells(study, earlier, self._reduction.grid.layout))
+            elif directory is not None:
+                self.parts = Parts(directory, study)
 
-    @cached_property
-    def reduction(self) -> Reduction:
-        """Empty arrays of the map. Raises ClunkError where nothing can run, or the arrays don't fit in memory."""
+    def _empty(self) -> Reduction:
+        """The map without any cell."""
         if not self.design.shape:
             raise ClunkError(_NO_SWEEP)
         lashes = len(self.study.lashes)
         _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
         if not has_tolerances(self.study):
-            reduction = Reduction(Grid(self.study, self.design))
-            if self.earlier is not None:
-                reduction.add(finished_cells(self.study, self.earlier, reduction.grid.layout))
-            return reduction
+            return Reduction(Grid(self.study, self.design))
         if self.study.measured:
             raise ClunkError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
         return Reduction(SampleGrid(self.study))
-
-    @cached_property
-    def parts(self) -> Parts | None:
-        """Finished cells on the disk, if they are kept. Raises PartsError where they are another sweep's."""
-        return None if self.directory is None or self.earlier is not None else Parts(self.directory, self.study)
 
     def finish(self, result: AnyMap, addition: Callable[[AnyMap], AnyMap] | None = None) -> AnyMap:
         """Add something to a map, and write it to its file, if it has one; without the addition where that is stopped.
@@ -131,7 +131,7 @@ class Job:
         Raises as `clunk.sweep`.
         """
         began = time.perf_counter()
-        reduction, parts = self.reduction, self.parts
+        reduction, parts = self._reduction, self.parts
         shared = reduction.grid.shared()
         if shared is not None and (status := Status(shared.status)) != Status.OK:
             raise ClunkError(f"No cell can run: {explained(self.study, status)}.")
@@ -197,15 +197,13 @@ def opened(
             job = Job(study, earlier=earlier, directory=directory, path=path, held=whole)
         else:
             held = _held(path, study) if path.exists() and not force else None
-            job = Job(study, directory=directory, path=path, held=None if restart else held, say=say)
             if restart:
                 directory.clear()
             elif held is not None and directory.parts():  # of a process that was killed when its file was in place
                 with suppress(PartsError):  # another sweep's parts stay
-                    _ = job.parts
+                    Parts(directory, study)
                     directory.clear()
-        if job.held is None:
-            _ = job.reduction, job.parts  # what cannot run is refused before anything is compiled
+            job = Job(study, directory=directory, path=path, held=None if restart else held, say=say)
         yield job
 
 

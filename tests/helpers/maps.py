@@ -5,6 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from clunk.results.maps import Results
+from clunk.results.quantities import REGIME_QUANTITIES
+
+CELL_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if not each.dimension}
+IMPACT_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if each.dimension}
 
 
 def map_of(axes, labels, sequence, *, title="Map", config="", digest="", attributes=None, **arrays):
