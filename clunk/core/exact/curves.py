@@ -6,18 +6,12 @@ tables are those of `flows.Flows`, for one flow and one functional.
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from clunk.core.arrays import FloatArray
 from clunk.core.exact.flows import CURVATURE, PAIRS, SIXTH, SLOPE, SWAY, THIRD, VALUE, WATCHED
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Table, Vector, fused
-from clunk.core.tables import INPUTS
 
-FloatArray = npt.NDArray[np.float64]
-
-A_THIRD = 1.0 / 3.0
 A_SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
 # How far a function may be from the polynomial with its values, slopes and curvatures at both ends, at most, by its
 # sixth derivative over (0, 1): by the middle one of seven Bernstein coefficients, as a slope, and as a curvature
@@ -78,47 +72,6 @@ def evaluate(watch: Table, work: FloatArray, amplitudes: FloatArray, size: int) 
 
 
 @inlined_part
-def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int) -> Vector:
-    """Weights times inputs, which are `driven` rows of lanes from `at` on; rounded once a term."""
-    total = vectors.load(inputs, at) * vectors.number(weights, first)
-    for k in range(1, INPUTS):  # as many as a plain driveline has: by a known number, a run takes 3 % less time
-        total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
-    for k in range(INPUTS, driven):
-        total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
-    return total
-
-
-@inlined_part
-def origin(
-    weights: Table,
-    first: int,
-    stride: int,
-    order: int,
-    inputs: FloatArray,
-    at: int,
-    driven: int,
-    still: bool,
-    elapsed: Vector,
-) -> Origin:
-    """The origin of a functional or a state after a time: its value and derivatives by the inputs.
-
-    weights : begin at `first`, one for each input and `stride` apart; those of the next derivative lie `order` behind
-    inputs : (…, W) float64, `driven` rows from `at` on
-    still : whether it does not move
-    """
-    value = weighed(inputs, at, weights, first, stride, driven)
-    slope = curvature = third = vectors.splat(0.0)
-    if not still:
-        slope = weighed(inputs, at, weights, first + order, stride, driven)
-        curvature = weighed(inputs, at, weights, first + 2 * order, stride, driven)
-        third = weighed(inputs, at, weights, first + 3 * order, stride, driven)
-        value += elapsed * (slope + 0.5 * elapsed * (curvature + elapsed * A_THIRD * third))
-        slope += elapsed * (curvature + 0.5 * elapsed * third)
-        curvature += elapsed * third
-    return Origin(value, slope, curvature, third)
-
-
-@inlined_part
 def load_curve(array: FloatArray, row: int) -> Curve:
     """A curve whose five numbers are rows of an array, from `row` on."""
     return Curve(
@@ -168,39 +121,6 @@ def falls_by(guard: Curve) -> Vector:
     fall, bend = vectors.larger(-guard.slope, vectors.splat(0.0)), guard.curvature
     h = 1.8 * fall / (bend + vectors.root(fused(bend, bend, 2.0 * guard.third_bound * fall)))
     return h * (fall - h * fused(guard.third_bound * A_SIXTH, h, 0.5 * bend))
-
-
-@inlined_part
-def longest(
-    shortest: Vector, guards: FloatArray, first: int, stride: int, count: int, at_most: Vector, spans: int
-) -> tuple[Vector, Vector]:
-    """The longest span of the ladder, at most `at_most`, up to which all guards stay positive by `guess`; its number.
-
-    Where there is none, the number is -1.
-
-    guards : (…, W) float64
-        `count` curves, the first from row `first` on, each `stride` rows behind the one before it.
-    spans : of the ladder, 32 or 128
-    """
-    h, k = shortest, vectors.splat(0.0)
-    blocked, octaves = ~_passes(guards, first, stride, count, h, at_most), spans // 4
-    while octaves > 0:
-        longer = h * float(1 << octaves)
-        passes = _passes(guards, first, stride, count, longer, at_most)
-        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * octaves, k)
-        octaves //= 2
-    longer = h * 1.5
-    passes = _passes(guards, first, stride, count, longer, at_most)
-    h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k)
-    return h, vectors.choose(blocked, -1.0, k)
-
-
-@inlined_part
-def _passes(guards: FloatArray, first: int, stride: int, count: int, h: Vector, at_most: Vector) -> int:
-    passes = int(h <= at_most)
-    for n in range(count):
-        passes &= guess(load_curve(guards, first + n * stride), h) > 0.0
-    return passes
 
 
 @inlined_part

@@ -1,18 +1,13 @@
 """Moving along the modes: into the coordinates of a flow, over spans and parts of the shortest, and back to states."""
 
-import numpy as np
-import numpy.typing as npt
-
+from clunk.core.arrays import FloatArray
 from clunk.core.exact import functionals, rows
-from clunk.core.exact.curves import origin, weighed
 from clunk.core.exact.flows import CROSS, PAIRS, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field, is_still, size_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 from clunk.core.regimes import inputs_of
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @inlined_part
@@ -39,9 +34,8 @@ def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
 @part
 def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> None:
     work, away, size, states = space.pool.work, space.moved, size_of(space), space.flows.coordinates.shape[2]
-    inputs, driven = space.inputs_at, inputs_of(space.system)
     for k in range(states):
-        vectors.store(away, k, vectors.load(work, k) - weighed(work, inputs, origins, k, size, driven))
+        vectors.store(away, k, vectors.load(work, k) - functionals.weighed(space, origins, k, size, space.inputs_at))
     for c in range(size):
         total = vectors.splat(0.0)
         for k in range(states):
@@ -71,9 +65,10 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 @part
 def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> None:
     """The states of the runs taken, into `space.moved`."""
-    work, size, elapsed, driven = space.pool.work, size_of(space), field(space, rows.ELAPSED), inputs_of(space.system)
+    work, size, elapsed = space.pool.work, size_of(space), field(space, rows.ELAPSED)
+    order = inputs_of(space.system) * size
     for n in range(space.flows.coordinates.shape[2]):
-        at = origin(origins, n, size, driven * size, work, space.inputs_at, driven, still, elapsed)
+        at = functionals.weighed_origin(space, origins, n, size, order, space.inputs_at, still, elapsed)
         away = vectors.splat(0.0)
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)
@@ -81,34 +76,24 @@ def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> N
 
 
 @inlined_part
-def move_by_spans(space: Workspace, flow: int, numbers: Vector) -> None:
-    """Move each of the items taken by the span of the ladder with its number; a negative one counts as 0."""
-    _gather_propagators(space, flow, numbers)
-    jump(space.moved, space.pool.work, size_of(space))
-
-
-@inlined_part
-def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
-    """Move each of the items taken by a part of the shortest span."""
-    size, generator = size_of(space), space.flows.generator
-    if space.flows.modal[0, flow] != 0:
-        _gather_propagators(space, flow, vectors.splat(float(space.flows.span.shape[2])))
-        move(space.moved, part, space.pool.work, size)
-    else:
-        functionals.gather(space, generator, flow * size * size, size * size, space.lane_table)
+def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> None:
+    """Move each of the items taken by the span of the ladder with number k, or if `short` by a part of the shortest."""
+    size, flows, table = size_of(space), space.flows, space.flows.propagator
+    if short and flows.modal[0, flow] == 0:
+        functionals.gather(space, flows.generator, flow * size * size, size * size, space.lane_table)
         move_together(space.lane_table, part, space.pool.work, size, space.moved)
-
-
-@inlined_part
-def _gather_propagators(space: Workspace, flow: int, numbers: Vector) -> None:
-    """Gather the rows of each lane's propagator with these numbers into `space.moved`."""
-    size, propagator = size_of(space), space.flows.propagator
-    vectors.store(space.notes, 0, numbers)
+        return
+    spans = table.shape[2] - 1
+    vectors.store(space.notes, 0, vectors.splat(float(spans)) if short else k)
     for lane in range(WIDTH):
-        first = (space.drivelines[lane] * propagator.shape[1] + flow) * propagator.shape[2]
-        space.offsets[lane] = (first + int(max(vectors.number(space.notes, lane), 0.0))) * 2 * size
+        first = (space.drivelines[lane] * table.shape[1] + flow) * table.shape[2]
+        space.offsets[lane] = (first + int(space.notes[0, lane])) * 2 * size
     for row in range(0, 2 * size, ROW):
-        vectors.gather(propagator, space.offsets, row, space.moved, row)
+        vectors.gather(table, space.offsets, row, space.moved, row)
+    if short:
+        move_by_series(space.moved, part, space.pool.work, size)
+    else:
+        jump(space.moved, space.pool.work, size)
 
 
 @inlined_part
@@ -141,7 +126,7 @@ def measure(work: FloatArray, size: int, amplitudes: FloatArray) -> None:
 
 
 @inlined_part
-def move(rates: FloatArray, part: Vector, work: FloatArray, size: int) -> None:
+def move_by_series(rates: FloatArray, part: Vector, work: FloatArray, size: int) -> None:
     """Move modes by a part of the shortest span, by the Taylor series of the exponential.
 
     rates : (2C, WIDTH) float64

@@ -10,14 +10,14 @@ so are the near misses that make the run's margin, see `margins`.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, StopFlag
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.core.exact import functionals, moving, rows
 from clunk.core.exact.margins import MOST, note_holding, set_static, take_margin_of_event, take_margins_of_load
 from clunk.core.exact.search import conclude, search
 from clunk.core.exact.step import take_step
-from clunk.core.exact.workspace import Workspace, lash_at, log_of, set_field, system_at, system_of
+from clunk.core.exact.workspace import Workspace, lash_at, log_of, system_at, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
@@ -27,8 +27,6 @@ from clunk.core.runs import Entry, Moment, Start, begin_wave, end_of_piece, piec
 from clunk.core.sequence import is_primary, is_sticking
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, set_weighed, switch, weigh
-
-FloatArray = npt.NDArray[np.float64]
 
 _OK = int(Status.OK)
 _NON_FINITE = int(Status.NON_FINITE)
@@ -78,7 +76,8 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
             _take_events(space, slot, row.count, entry.written)
     row.time, row.count, row.regime = time, entry.written, regime
     for k in range(x.size):
-        space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
+        space.numbers[slot, k] = x[k]  # a state for now; `moving.to_coordinates` makes coordinates of it
+    numbers[rows.ELAPSED], numbers[rows.TRY] = 0.0, np.inf
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     entered = system.regimes[regime]
     set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.kink_at])
@@ -99,7 +98,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
 
 
 @part
-def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
+def advance(space: Workspace, stop: StopFlag) -> None:
     """Take steps until as many runs as lanes are over, or none is left, or `stop` is set.
 
     Those wait in the queue `over`. A queue has its turns while it fills the lanes, and then the longest one has.
@@ -116,29 +115,21 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             count, group = take(pool, queue, space.numbers), queue % space.system.leaders.size
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
             if space.mixed != 0:
-                functionals.gather_tables(space, flow, 0, space.flows.watch.shape[2], 1)
+                functionals.gather_tables(space, flow, 1)
             if queue >= queues.enter:  # and take the first step at once
-                _enter_coordinates(space, flow, count)
+                moving.to_coordinates(space, flow)
+                put_back(pool, space.numbers, space.behind, (1 << count) - 1)
                 short = space.flows.modal[0, flow] == 0
             take_step(space, group, short, count)
         else:
             count = take(pool, queue, space.searches)
             flow, functional = divmod(queue - queues.search, space.flows.watch.shape[2])
             if space.mixed != 0:
-                functionals.gather_tables(space, flow, functional, 1, space.searches_each)
+                functionals.gather_tables(space, flow, space.searches_each)
             conclude(space, queue, count, search(space, flow, functional, count))
         for k in range(pool.length[queues.follow]):
             _follow(space, pool.waiting[queues.follow, k])
         pool.length[queues.follow] = 0
-
-
-@inlined_part
-def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
-    """From the states of the runs taken to their coordinates in a flow."""
-    moving.to_coordinates(space, flow)
-    set_field(space, rows.ELAPSED, vectors.splat(0.0))
-    set_field(space, rows.TRY, vectors.splat(np.inf))
-    put_back(space.pool, space.numbers, space.behind + rows.changing(lashes_of(space.system)), (1 << count) - 1)
 
 
 @inlined_part

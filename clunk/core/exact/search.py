@@ -8,7 +8,6 @@ known. Elsewhere the shortest span is expanded into its Taylor series and search
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.exact import curves, functionals, moving, rows, taylor
 from clunk.core.exact.margins import take_margin_of_guard
@@ -26,8 +25,6 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
 from clunk.core.regimes import lashes_of
-
-FloatArray = npt.NDArray[np.float64]
 
 _NARROWEST = 2.0**-16  # of the shortest span: two turns within that differ by less than rounding
 
@@ -49,7 +46,7 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
     flow, f : the flow, and the functional searched in
     """
     modal, shortest = space.flows.modal[0, flow] != 0, shortest_span(space, flow)
-    zero, present, until = vectors.splat(0.0), (1 << count) - 1, field(space, rows.UNTIL)
+    present, until = (1 << count) - 1, field(space, rows.UNTIL)
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
     elapsed, inputs_at = field(space, rows.PHASE_TIME), space.behind + rows.OF_A_SEARCH
     moving.measure(space.pool.work, size_of(space), space.amplitudes)
@@ -59,7 +56,7 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
     top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), curve.value <= until
     known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS), until > -np.inf)
 
-    h, k, near = _longest_empty(known, shortest, space.flows.span.shape[2], modal)
+    h, k, near = _longest_empty(known, shortest, space.flows.span.shape[2] if modal else 0)
     near &= present & ~done
     if near != 0:
         functionals.expand(space, flow, f, sign, shift, origin)
@@ -70,10 +67,7 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
     time_left -= h
     done &= present
     if done != present:
-        if modal:
-            moving.move_by_spans(space, flow, k)
-        else:
-            moving.move_by_parts(space, flow, zero + 1.0)
+        moving.move(space, flow, not modal, k, vectors.splat(1.0))
     set_field(space, rows.TIME_LEFT, time_left)
     set_field(space, rows.PHASE_TIME, elapsed + h)
     set_field(space, rows.TOP, top)
@@ -83,25 +77,21 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
 
 
 @part
-def _longest_empty(known: _Known, shortest: Vector, spans: int, modes: bool) -> tuple[Vector, Vector, int]:
+def _longest_empty(known: _Known, shortest: Vector, spans: int) -> tuple[Vector, Vector, int]:
     """The longest span of the ladder with nothing to be found, its number, and the lanes where there is none.
 
-    Without modes there is but the shortest span.
+    Of no spans, without modes, it is the shortest one.
     """
-    h, k = shortest, vectors.splat(0.0)
+    h, k, octaves = shortest, vectors.splat(0.0), spans // 4
     near = ~_is_empty(known, h)
-    if modes:
-        step = spans // 4
-        while step > 0:
-            longer = h * float(1 << step)
-            passes = _is_empty(known, longer)
-            h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * step, k)
-            step //= 2
-        longer = h * 1.5
+    while octaves > 0:
+        longer = h * float(1 << octaves)
         passes = _is_empty(known, longer) & ~near
-        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k)
-        h, k = vectors.choose(near, shortest, h), vectors.choose(near, 0.0, k)
-    return h, k, near
+        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * octaves, k)
+        octaves //= 2
+    longer = h * 1.5
+    passes = _is_empty(known, longer) & ~near if spans > 0 else 0
+    return vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k), near
 
 
 @part

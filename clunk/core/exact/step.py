@@ -80,24 +80,20 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         at_most = vectors.choose(kinks, vectors.smaller(at_most, time_left), at_most)
     there = present & ~settled
 
-    event, ends, lost, grazing, blocked = zero - 1.0, 0, 0, 0, 0
+    event, part, k, ends, lost, grazing, blocked = zero - 1.0, zero, zero, 0, 0, 0, 0
     if short:
-        k, left = zero - 1.0, vectors.smaller(time_left / shortest, zero + 1.0)
+        left = vectors.smaller(time_left / shortest, zero + 1.0)
         event, part, lost, grazing = _find_event(space, regime, there, left)
         ends = (time_left <= shortest) & (part == left) & there
         h = shortest * part
     else:
         h, k, blocked = _propose_span(space, regime, at_most)
         blocked &= there
-        part = zero
     advancing = there & ~blocked & ~lost
 
     # All lanes are moved, also those that will not be put back. Until `put_back` the work space is at the step's end,
     # and `space.numbers` at its beginning, where the searches of this step begin.
-    if short:
-        moving.move_by_parts(space, flow, part)
-    else:
-        moving.move_by_spans(space, flow, k)
+    moving.move(space, flow, short, k, part)
     elapsed += h
     set_field(space, rows.ELAPSED, elapsed)
 
@@ -108,7 +104,8 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     advancing &= ~failed
     searching = _find_turns(space, regime, event, h, advancing)
     set_field(space, rows.ZERO_ORDER, zero)
-    set_field(space, rows.TRY, zero + np.inf)
+    next_try = vectors.choose(failed, _NEXT_TRY * h, np.inf)
+    set_field(space, rows.TRY, next_try)
     happened = (event >= 0.0) & advancing
     arrived = ends & kinks & ~lost
     if (happened | arrived) != 0:
@@ -116,7 +113,6 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     put_back(pool, space.numbers, space.behind + rows.changing(lashes_of(system)), advancing)
     if happened != 0:
         searching |= _find_depths(space, regime, event, happened)
-    _set_next_try(space, _NEXT_TRY * h, failed)
 
     special = (settled | lost | ends | grazing | happened | searching) & present
     if flows.modal[0, flow] != 0:
@@ -125,19 +121,22 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     else:
         push_all(pool, space.queues.short + group, advancing & ~special)
     push_all(pool, space.queues.follow, special & ~searching)
-    if special == 0:
+    noted = special | failed
+    if noted == 0:
         return
     # how the step ended, the first that holds
     ended = vectors.choose(close, float(rows.NEARS), zero + float(rows.GOES_ON))
     ended = vectors.choose(happened, float(rows.BY_EVENT), vectors.choose(ends, float(rows.AT_END), ended))
     ended = vectors.choose(settled, float(rows.SETTLED), vectors.choose(lost, float(rows.LOST), ended))
-    vectors.store(space.notes, 0, (ended, event))
-    while special != 0:
-        lane = vectors.first_of(special)
-        special &= special - 1
-        run = space.runs[pool.items[lane]]
+    vectors.store(space.notes, 0, (ended, event, next_try))
+    while noted != 0:
+        lane = vectors.first_of(noted)
+        noted &= noted - 1
+        slot = pool.items[lane]
+        run = space.runs[slot]
         run.ended, run.guard = int(space.notes[0, lane]), int(space.notes[1, lane])
         run.quality |= QUALITY_GRAZING * (grazing >> lane & 1)
+        space.numbers[slot, space.behind + rows.TRY] = space.notes[2, lane]
 
 
 @inlined_part
@@ -263,13 +262,29 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
     blocked : int
         The lanes where not even the shortest span will probably pass.
     """
-    seen, count = space.seen, space.system.regimes[regime].guards
-    shortest, spans = shortest_span(space, space.system.regimes[regime].flow), space.flows.span.shape[2]
-    h, k = curves.longest(shortest, seen, _START, OF_SEEN, count, at_most, spans)
-    passes = int(k >= 0.0)
+    count, octaves = space.system.regimes[regime].guards, space.flows.span.shape[2] // 4
+    h, k = shortest_span(space, space.system.regimes[regime].flow), vectors.splat(0.0)
+    passes = _passes(space, count, h, at_most)
     for n in range(count):  # where a guard is zero with its slope, its series decides
-        passes &= (vectors.load(seen, n * OF_SEEN + _START) >= 0.0) & ~(_zero_order(space, n) > 1.0)
-    return h, k, ~passes
+        passes &= (vectors.load(space.seen, n * OF_SEEN + _START) >= 0.0) & ~(_zero_order(space, n) > 1.0)
+    blocked = ~passes
+    while octaves > 0:
+        longer = h * float(1 << octaves)
+        passes = _passes(space, count, longer, at_most)
+        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * octaves, k)
+        octaves //= 2
+    longer = h * 1.5
+    passes = _passes(space, count, longer, at_most)
+    return vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k), blocked
+
+
+@inlined_part
+def _passes(space: Workspace, count: int, h: Vector, at_most: Vector) -> int:
+    """Where so many guards are positive by guess up to a time h."""
+    passes = int(h <= at_most)
+    for n in range(count):
+        passes &= curves.guess(load_curve(space.seen, n * OF_SEEN + _START), h) > 0.0
+    return passes
 
 
 @inlined_part
@@ -291,28 +306,15 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     shortest, zero = shortest_span(space, flow), vectors.splat(0.0)
     event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
-        start = load_curve(space.seen, n * OF_SEEN + _START)
-        near = ~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (_zero_order(space, n) >= 2.0)
-        space.near[n] = there & near
-    for n in range(count):
-        guard = system.guards[regime, n]
-        near, number, sign, shift, scale, order = 0, zero, zero, zero, zero, zero
-        for m in range(n, count):  # guards of one functional are seldom near in the same lane: one series does for all
-            if system.guards[regime, m].first_alike == guard.first_alike:
-                lanes = space.near[m] & ~near
-                near |= lanes
-                space.near[m] &= ~lanes
-                number = vectors.choose(lanes, float(m), number)
-                sign = vectors.choose(lanes, _sign(space, regime, m), sign)
-                shift = vectors.choose(lanes, _shift(space, regime, m), shift)
-                of_this = _scale(space, regime, m) if lash_of(system, regime, m) >= 0 else vectors.magnitude(shift)
-                scale = vectors.choose(lanes, of_this, scale)
-                order = vectors.choose(lanes, _zero_order(space, m), order)
+        guard, order = system.guards[regime, n], _zero_order(space, n)
+        start, sway = load_curve(space.seen, n * OF_SEEN + _START), vectors.load(space.seen, n * OF_SEEN + _SWAY)
+        near = there & (~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (order >= 2.0))
         if near == 0:
             continue
+        sign, shift = _sign(space, regime, n), _shift(space, regime, n)
+        scale = _scale(space, regime, n) if guard.lash >= 0 else vectors.magnitude(shift)
         origin = _origin(space, flow, guard.functional)
         functionals.expand(space, flow, guard.functional, sign, shift, origin)
-        sway = vectors.load(space.seen, guard.first_alike * OF_SEEN + _SWAY)
         noise = ROUNDING * (vectors.magnitude(origin.value) + vectors.magnitude(shift) + sway)
         if elements_of(system) > 1:  # another lash's event at the same time may have been located first
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
@@ -323,7 +325,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         grazing |= grazes
         event, part = vectors.choose(known < part, -1.0, event), known
         crosses &= (event < 0.0) | (s < part)
-        event, part = vectors.choose(crosses, number, event), vectors.choose(crosses, s, part)
+        event, part = vectors.choose(crosses, float(n), event), vectors.choose(crosses, s, part)
     return event, part, lost, grazing
 
 
@@ -478,14 +480,3 @@ def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) ->
         if mask != 0:
             _begin_search(space, regime, n, mask, longest, elapsed, infinite, True)
     return depths
-
-
-@inlined_part
-def _set_next_try(space: Workspace, longest: Vector, mask: int) -> None:
-    """Set the longest span that is proposed next to runs that stay where they were."""
-    if mask != 0:
-        vectors.store(space.notes, 1, longest)
-        while mask != 0:
-            lane = vectors.first_of(mask)
-            mask &= mask - 1
-            space.numbers[space.pool.items[lane], space.behind + rows.TRY] = space.notes[1, lane]

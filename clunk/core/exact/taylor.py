@@ -1,15 +1,11 @@
 """Taylor series over the shortest span, side by side: their zeros and turning points."""
 
-import numpy as np
-import numpy.typing as npt
-
+from clunk.core.arrays import FloatArray
 from clunk.core.exact.curves import A_SIXTH, Origin
 from clunk.core.exact.flows import LONG, TERMS
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import Table, Vector, fused
-
-FloatArray = npt.NDArray[np.float64]
 
 _HALVINGS = 40  # of a part: what is not known then is a zero at its beginning
 

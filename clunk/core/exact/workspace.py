@@ -6,8 +6,8 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray, Records
 from clunk.core.events import EVENT
 from clunk.core.exact import rows
 from clunk.core.exact.flows import LONG, TERMS, Flows
@@ -18,9 +18,6 @@ from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import reference_at, rows_of
 from clunk.core.regimes import Each, System
 from clunk.core.runs import Log
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
@@ -88,19 +85,18 @@ class Workspace(NamedTuple):
     behind: int  # C, where the numbers that `rows` names begin in a row
     inputs_at: int  # and where u does, what the run's regime makes of its inputs
     kink_at: int  # and whether the load has not come to rest
-    runs: npt.NDArray[np.void]  # (S + 1,) RUN
-    courses: npt.NDArray[np.void]  # (S + 1, L) COURSE
+    runs: Records  # (S + 1,) RUN
+    courses: Records  # (S + 1, L) COURSE
     fastest: FloatArray  # (S, L)  rad/s, of the touches of each lash so far
     loads: FloatArray  # (loads, P, PIECE)
     inputs: FloatArray  # (S, I)  d of each run, when its phase or its load's piece began
     state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
-    events: npt.NDArray[np.void]  # (S, capacity) EVENT
+    events: Records  # (S, capacity) EVENT
     extremes: FloatArray  # (S, capacity, L, 2)
     margins: FloatArray  # (S, L)  of each run at its end
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
     # scratch of a step
     seen: FloatArray  # ((G + L) OF_SEEN, W)  see clunk.core.exact.step
-    near: IntArray  # (G,)  lanes in which a guard may turn negative within the shortest span
     series: FloatArray  # (TERMS, W)
     amplitudes: FloatArray  # (C/2, W)  of the items that have been taken
     moved: FloatArray  # (2C, W)
@@ -166,19 +162,18 @@ def make_workspace(
         extremes=np.empty((slots, capacity, lashes, 2)),
         margins=np.empty((slots, lashes)),
         states=np.empty((slots, states, system.lashes.shape[1])),
-        seen=aligned((most + lashes) * OF_SEEN, WIDTH),
-        near=np.zeros(most, np.int64),
-        series=aligned(TERMS, WIDTH),
-        amplitudes=aligned(size // 2, WIDTH),
-        moved=aligned(2 * size, WIDTH),
-        notes=aligned(rows.OF_A_SEARCH, WIDTH),
+        seen=aligned((most + lashes) * OF_SEEN),
+        series=aligned(TERMS),
+        amplitudes=aligned(size // 2),
+        moved=aligned(2 * size),
+        notes=aligned(rows.OF_A_SEARCH),
         offsets=np.zeros(WIDTH, np.int64),
         shortest=shortest,
         drivelines=np.zeros(WIDTH, np.int64),
-        lane_watch=aligned(flows.watch[0, 0].size * mixed, WIDTH),
-        lane_output_origins=aligned(flows.origin_output[0, 0].size * mixed, WIDTH),
-        lane_state_origins=aligned(flows.origin[0, 0].size * mixed, WIDTH),
-        lane_table=aligned(size * max(size, LONG), WIDTH),
+        lane_watch=aligned(flows.watch[0, 0].size * mixed),
+        lane_output_origins=aligned(flows.origin_output[0, 0].size * mixed),
+        lane_state_origins=aligned(flows.origin[0, 0].size * mixed),
+        lane_table=aligned(size * max(size, LONG)),
         held=np.zeros((lashes, 2)),
     )
 

@@ -7,14 +7,11 @@ gathered, and transposed: a row of `work` then holds one number of each of them.
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class Pool(NamedTuple):
@@ -32,7 +29,7 @@ def make_pool(queues: int, items: int, numbers: int) -> Pool:
     return Pool(
         waiting=np.zeros((queues, items + 1), np.int64),
         length=np.zeros(queues, np.int64),
-        work=aligned(whole(numbers), WIDTH),
+        work=aligned(whole(numbers)),
         items=np.zeros(WIDTH, np.int64),
         places=np.zeros(WIDTH, np.int64),
     )
@@ -43,7 +40,7 @@ def whole(count: int) -> int:
     return -(-count // ROW) * ROW
 
 
-def aligned(count: int, columns: int) -> FloatArray:
+def aligned(count: int, columns: int = WIDTH) -> FloatArray:
     """Zeros that begin where a register's worth of memory does."""
     flat = np.zeros(count * columns + ROW)
     first = -(flat.ctypes.data >> 3) % ROW

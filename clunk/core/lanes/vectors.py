@@ -11,14 +11,13 @@ import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from llvmlite.binding import get_host_cpu_features
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
+from clunk.core.arrays import FloatArray
 from clunk.core.jit import inlined_part
 
 
@@ -40,10 +39,10 @@ Vector = Any  # for mypy
 class OfLanes(NamedTuple):
     """A table whose numbers differ from lane to lane."""
 
-    rows: npt.NDArray[np.float64]  # (numbers, W)
+    rows: FloatArray  # (numbers, W)
 
 
-Table = npt.NDArray[np.float64] | OfLanes  # whose numbers are in C order
+Table = FloatArray | OfLanes  # whose numbers are in C order
 
 _ROW = ir.VectorType(ir.DoubleType(), WIDTH)
 _ANY = ir.Constant(_ROW, ir.Undefined)
@@ -214,15 +213,18 @@ def _comparison(sign: str) -> Callable[..., Any]:
     return lambda builder, a, b: _bits(builder, builder.fcmp_ordered(sign, a, b))
 
 
-_binary((operator.add, operator.iadd), _LANES, lambda builder, a, b: builder.fadd(a, b))
-_binary((operator.sub, operator.isub), _LANES, lambda builder, a, b: builder.fsub(a, b))
-_binary((operator.mul, operator.imul), _LANES, lambda builder, a, b: builder.fmul(a, b))
-_binary((operator.truediv,), _LANES, lambda builder, a, b: builder.fdiv(a, b))
-_binary((operator.gt,), types.int64, _comparison(">"))
-_binary((operator.ge,), types.int64, _comparison(">="))
-_binary((operator.lt,), types.int64, _comparison("<"))
-_binary((operator.le,), types.int64, _comparison("<="))
-_binary((operator.eq,), types.int64, _comparison("=="))
+_binary((operator.add, operator.iadd), _LANES, ir.IRBuilder.fadd)
+_binary((operator.sub, operator.isub), _LANES, ir.IRBuilder.fsub)
+_binary((operator.mul, operator.imul), _LANES, ir.IRBuilder.fmul)
+_binary((operator.truediv,), _LANES, ir.IRBuilder.fdiv)
+for _sign, _operator in (
+    (">", operator.gt),
+    (">=", operator.ge),
+    ("<", operator.lt),
+    ("<=", operator.le),
+    ("==", operator.eq),
+):
+    _binary((_operator,), types.int64, _comparison(_sign))
 
 
 @type_callable(operator.neg)
