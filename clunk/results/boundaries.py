@@ -162,15 +162,11 @@ class Boundaries:
         """A sentence on the places that are unresolved; empty without any."""
         if not len(self.unresolved):
             return ""
-        several = len(self.unresolved) > 1
-        parts = [
-            f"{axis.parameter} = {value:.6g}"
-            for axis, value in zip(self.axes, self.unresolved[0].tolist(), strict=True)
-        ]
+        first = zip(self.axes, self.unresolved[0].tolist(), strict=True)
+        at = ", ".join(f"{axis.parameter} = {value:.6g}" for axis, value in first)
         return (
-            f"{counted(len(self.unresolved), 'place')} {'are' if several else 'is'} unresolved, "
-            f"{'the first ' if several else ''}at {', '.join(parts)}: "
-            "labels change there more finely than lines are traced, or by rounding."
+            f"unresolved: {counted(len(self.unresolved), 'place')}, first {at}; labels change there more finely than "
+            "lines are traced, or by rounding"
         )
 
     def meeting_rows(self) -> list[dict[str, str]]:

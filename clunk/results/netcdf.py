@@ -83,7 +83,7 @@ class Dataset:
         counts, most = (self.variables[each].values for each in (COUNTED_BY[variable.dims[-1]], variable.dims[-1]))
         first = 0
         for rows in slabs(counts.shape, most.size):
-            is_entry = has_entry(counts[rows], most.size)
+            is_entry = np.arange(most.size) < counts[rows][..., None]
             padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
             last = first + int(counts[rows].sum())
             padded[is_entry] = variable.values[first:last]
@@ -95,11 +95,6 @@ def slabs(shape: Sequence[int], most: int) -> Iterator[slice]:
     """Parts along the first dimension of cells, of which each has `most` places, with `_SLAB` places at most."""
     each = max(_SLAB // max(math.prod(shape[1:]) * most, 1), 1)
     yield from (slice(begin, begin + each) for begin in range(0, shape[0], each))
-
-
-def has_entry(counts: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.bool_]:
-    """Mask of the places of padded values that hold an entry, shape of `counts` + (most,)."""
-    return np.asarray(np.arange(most) < counts[..., None])
 
 
 def flags(meanings: Mapping[int, str], dtype: npt.DTypeLike, *, masks: bool = False) -> dict[str, str | Array]:
@@ -235,7 +230,7 @@ def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) 
     dims = (name,) if stored.is_scale else tuple(dim[0].name.removeprefix("/") for dim in stored.dims)
     if dims[-1] in COUNTED_BY and len(dims) > 1:
         counts, most = earlier[COUNTED_BY[dims[-1]]].values, stored.shape[-1]
-        parts = [stored[rows][has_entry(counts[rows], most)] for rows in slabs(counts.shape, most)]
+        parts = [stored[rows][np.arange(most) < counts[rows][..., None]] for rows in slabs(counts.shape, most)]
         values: Array = np.concatenate([np.zeros(0, stored.dtype), *parts])
     else:
         values = stored[...]

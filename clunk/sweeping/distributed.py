@@ -108,13 +108,13 @@ class Cluster(Executor):
             models = self._client.run(cpu_model, on_error="ignore")
         return "; ".join(sorted(set(models.values()))) or cpu_model()
 
-    def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
-        """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
-        grid, cells, stop = arguments
+    def submit(self, function: Any, /, *arguments: Any, **_options: Any) -> Future[Any]:
+        """Run a tile on a worker; `function` is `Grid.run` of a grid."""
+        grid = function.__self__
         if self._sent is None or self._sent[0] is not grid:
             # a task and not scattered data: a worker that dies takes no copy with it that could not be made again
             self._sent = grid, self._client.submit(pickle.loads, pickle.dumps(grid), pure=False)
-        future: Future[Any] = self._executor.submit(_run, self._sent[1], cells, stop, versions())
+        future: Future[Any] = self._executor.submit(_run, versions(), self._sent[1], *arguments)
         return future
 
     def explained(self, error: BaseException) -> BaseException:
@@ -134,7 +134,7 @@ class Cluster(Executor):
 # --- on a worker
 
 
-def _run(grid: Grid, cells: Cells, stop: Flag, wanted: Mapping[str, str]) -> Tile:
+def _run(wanted: Mapping[str, str], grid: Grid, cells: Cells, stop: Flag) -> Tile:
     """Run a tile; the worker keeps its grid, with the drivelines that it has prepared, for other tiles.
 
     Raises EngineError where the worker has other versions than those that are wanted.

@@ -1,8 +1,9 @@
 """Engines: the executors that run the tiles of a sweep.
 
 An engine is anything with the shape of `concurrent.futures.Executor`: threads by default, or the workers of a dask
-scheduler (`clunk.sweeping.distributed`). A cell's result depends on nothing but its parameters, so neither the engine,
-the cut into tiles, the order nor the number of workers can change a bit of it.
+scheduler (`clunk.sweeping.distributed`). Its tasks are calls of `Grid.run`; to a process of its own goes a copy of the
+flag that stops them. A cell's result depends on nothing but its parameters, so neither the engine, the cut into tiles,
+the order nor the number of workers can change a bit of it.
 
 An engine may have two methods besides: `processors()`, and `explained(error)`, which makes of a tile's error one for
 the user.
@@ -72,7 +73,7 @@ def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Ge
         while True:
             workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
             while size := next_tile(waiting.size, len(running), count, workers, grid.tile_cells):
-                running.add(engine.submit(run_tile, grid, waiting[:size].copy(), stop))  # may be kept, the rest not
+                running.add(engine.submit(grid.run, waiting[:size].copy(), stop))  # may be kept, the rest not
                 waiting = waiting[size:]
             if not running:
                 return
@@ -91,11 +92,6 @@ def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Ge
         with deferred_signals():
             for future in running:
                 future.cancel()
-
-
-def run_tile(grid: Grid, cells: Cells, stop: Flag) -> Tile:
-    """Run one tile; the task that engines are given. A process of its own gets a copy of the flag `stop`."""
-    return grid.run(cells, stop)
 
 
 def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: int) -> int:

@@ -71,7 +71,6 @@ class Reduction:
     grid : runs the cells to tiles
     study, design : of the cells
     axes, shape : of the map: those of the design and, of several lashes, theirs
-    heading : axes, title and config, which all maps have
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
@@ -82,7 +81,6 @@ class Reduction:
         names, axes = self.study.lash_names, self.design.axes
         self.axes = (*axes, lash_axis(names)) if len(names) > 1 else axes
         self.shape = tuple(len(axis.values) for axis in self.axes)
-        self.heading: dict[str, Any] = {"axes": self.axes, **heading_of(self.study)}
         self.rows = self.design.cells * grid.layout.lashes
         self.known: Bools = np.zeros(self.design.cells, bool)
         self.done = 0
@@ -127,7 +125,7 @@ class Reduction:
 
 
 @lru_cache(4)
-def heading_of(study: Study) -> dict[str, str]:
+def heading_of(study: Study) -> dict[str, Any]:
     """Title and config of a study's maps; the latest are kept: to write a config takes as long as some fifty runs."""
     return {"title": study.title, "config": to_toml(study), "config_digest": digest(study)}
 
@@ -143,7 +141,7 @@ def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
             arrays[name] = impacts[name.removeprefix("impact_")].astype(quantity.dtype)
         elif name != "sequence":
             arrays[name] = records[name].astype(quantity.dtype).reshape(reduction.shape)
-    return Results(**reduction.heading, labels=labels, arrays=arrays, attributes=attributes)
+    return Results(axes=reduction.axes, **heading_of(study), labels=labels, arrays=arrays, attributes=attributes)
 
 
 def failed_cells(results: Results) -> Cells:

@@ -20,15 +20,13 @@ from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.records import counted
 from clunk.study.study import Study, digest
-from clunk.sweeping.cells import Grid, warm_up
+from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import EngineError, Threads
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.reduction import Reduction, failed_cells, finished_cells, mended, regime_map
 from clunk.sweeping.tolerances import SampleGrid, tolerance_map
-
-__all__ = ["Job", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
 
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
 

@@ -7,7 +7,6 @@ each with its number of runs, and the statistics of their severity.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from clunk.study.designs import along_run
 from clunk.study.parameters import drawn_numbers, nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.cells import Flag, Grid, Layout, Tile, most_of_load
-from clunk.sweeping.reduction import Reduction, in_order, labels_of
+from clunk.sweeping.reduction import Reduction, heading_of, in_order, labels_of
 
 TOLERANCE_CELL = np.dtype(
     [
@@ -66,6 +65,18 @@ class SampleGrid(Grid):
     def shared(self) -> System | None:
         """The system that all runs share, if they do."""
         return self._of_runs.shared()
+
+    @property
+    def sample(self) -> tuple[ResultAxis, ...]:
+        """The drawn numbers of each tolerance; those of a key that has several are named after what is drawn, too."""
+        sample, count = [], Counter(each.parameter for each in self._tolerances)
+        suffix = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
+        for tolerance, numbers in zip(self._tolerances, self.drawn, strict=True):
+            parameter, draws, known = tolerance.parameter, tolerance.draws, quantity(tolerance.parameter)
+            unit = "1" if draws == "factor" else known.unit
+            name = f"{parameter}.{draws}" if count[parameter] > 1 else parameter
+            sample.append(ResultAxis(name, numbers, known.name + suffix[draws], known.symbol, unit))
+        return tuple(sample)
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; a tile that was stopped has none."""
@@ -110,9 +121,10 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
     nominal = np.full(reduction.rows, FAILED_CODE, np.int16)
     nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
     return ToleranceMap(
-        **reduction.heading,
+        axes=reduction.axes,
+        **heading_of(reduction.study),
         labels=labels,
-        sample=sample_of(reduction.study, grid.drawn),
+        sample=grid.sample,
         arrays={
             "probability": (runs / grid.draws).reshape(*shape, len(labels) + 1),
             "sequence": sequence.reshape(shape),
@@ -123,23 +135,6 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
         },
         attributes=attributes,
     )
-
-
-def sample_of(study: Study, drawn: Sequence[Floats]) -> tuple[ResultAxis, ...]:
-    """The sample as axes of results: the drawn numbers of each tolerance, with name and unit.
-
-    Those of a key with a factor and an offset are named after these, too.
-    """
-    assert study.sweep is not None
-    sample = []
-    count = Counter(each.parameter for each in study.sweep.tolerances)
-    for tolerance, numbers in zip(study.sweep.tolerances, drawn, strict=True):
-        parameter, draws, known = tolerance.parameter, tolerance.draws, quantity(tolerance.parameter)
-        suffix = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
-        unit = "1" if draws == "factor" else known.unit
-        name = f"{parameter}.{draws}" if count[parameter] > 1 else parameter
-        sample.append(ResultAxis(name, numbers, known.name + suffix[draws], known.symbol, unit))
-    return tuple(sample)
 
 
 def _summary(

@@ -36,7 +36,7 @@ from clunk.core.events import EVENT
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.simulation.driveline import Driveline
 from clunk.study.study import replace_values
-from clunk.sweeping import sweep as sweeping
+from clunk.sweeping import cells, sweep as sweeping
 from clunk.sweeping.machine import cpu_model
 
 CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
@@ -93,7 +93,7 @@ class Clunk:
         self.timed = events_table.study(method, finer()) if fine else self.study
         self.whole = whole
         began = time.perf_counter()
-        sweeping.warm_up(self.study)
+        cells.warm_up(self.study)
         self.row.ready = time.perf_counter() - began
         self.work(1)
 
