@@ -100,9 +100,9 @@ def test_the_schema_allows_one_lash_and_several():
         (TWO, ["lash[2].radious=1"], "lash[2].radious", 'did you mean "radius"?'),
         (TWO, ["lash[2].between=[2, 9]"], "lash[2].between[2]", "there is no inertia 9"),
         (TWO.replace("radius = 0.05\n", ""), [], "lash[2].radius", "missing; must be a number greater than 0"),
-        (TWO + SWEPT.format("lash.radius"), [], "sweep.axes[1].parameter", "there are 2 lashes; name one, lash[1]"),
-        (TWO + SWEPT.format("lash[rear].radius"), [], "sweep.axes[1].parameter", 'did you mean "lash[1].radius"?'),
-        (TWO + SWEPT.format("lash[3].radius"), [], "sweep.axes[1].parameter", "lash has 2 items"),
+        (TWO + SWEPT.format("lash.radius"), [], "sweep.axes[1].parameter", 'did you mean "lash[2].radius"?'),
+        (TWO + SWEPT.format("lash[rear].radius"), [], "sweep.axes[1].parameter", 'did you mean "lash[2].radius"?'),
+        (TWO + SWEPT.format("lash[3].radius"), [], "sweep.axes[1].parameter", 'no number "lash[3].radius"'),
         (
             TWO.replace("backlash_deg = 3.0", "gap_mm = 3.0") + SWEPT.format("lash[2].radius"),
             [],

@@ -231,7 +231,7 @@ def test_sensitivity_knows_measures():
         ("quantity = 'acceleratoin'\nof = 1", 'did you mean "acceleration"'),
         ("quantity = 'twist'\nof = 'lash1'", 'no shaft or lash "lash1"; did you mean'),
         ("quantity = 'acceleration'\nof = 'mottor'", 'did you mean "motor"'),
-        ("quantity = 'shaft torque'\nof = 9", "its number from 1 to 4"),
+        ("quantity = 'shaft torque'\nof = 9", "a number from 1 to 4"),
         (
             "quantity = 'twist'\nof = 1\n[[measures]]\nname = 'one'\nreduce = 'largest'\nquantity = 'twist'\nof = 2",
             'name "one" too',

@@ -25,7 +25,7 @@ def test_runs_are_a_file_like_any_other(single, tmp_path):
     [
         ({"load.ration": [1.0]}, 'load.ration: .*did you mean "load.ratio"'),
         ({"solver.method": [1.0]}, "solver.method: "),
-        ({"driveline.inertias[5]": [1.0]}, "has 4 items"),
+        ({"driveline.inertias[5]": [1.0]}, r"no number \"driveline.inertias\[5\]"),
         ({"driveline.inertias[4]": [1e-3, 1e11]}, "lost in rounding"),
         ({"load.ratio": [1.0], "solver.step": [3.0]}, "a step of 3 s is longer"),
         ({"load.ratio": [1.0, np.nan]}, "load.ratio: point 2: found nan; must be a finite number"),
@@ -34,7 +34,7 @@ def test_runs_are_a_file_like_any_other(single, tmp_path):
         ({"load.ratio": [[1.0]]}, "load.ratio: point 1: .*must be a finite number"),
         ({"load.ratio": []}, "load.ratio: found .*; must be a list of finite numbers"),
         ({"load.ratio": ["much"]}, 'load.ratio: point 1: found "much"; must be a finite number'),
-        ({"load.on": [1.0, 1.5]}, "load.on: .*must be an inertia's number"),
+        ({"load.on": [1.0, 1.5]}, "load.on: .*must be a number"),
         ({"load.on": [1.0, 5.0]}, "load.on"),
         ({"load.ratio": [1.0], "load.initial_torque": [1.0]}, "load"),
         ({}, "nothing to run: points names no parameter"),

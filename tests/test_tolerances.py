@@ -22,7 +22,7 @@ from clunk.results.store import read_results
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import nominal
-from clunk.study.errors import ClunkError, ConfigError
+from clunk.study.errors import ClunkError
 from clunk.study.parameters import drawn_numbers, nominal_value
 from clunk.study.study import replace_values, to_toml
 from clunk.sweeping import parts as keeping, tolerances
@@ -102,16 +102,6 @@ def found(toleranced):
 
 
 class TestCells:
-    def test_listed_draws_go_together_one_by_one(self):
-        listed = [drawn("tolerances", "lash.backlash_deg", "listed", draws="factor", values=[0.5, 1.0, 2.0])]
-        listed += [drawn("tolerances", "lash.contact.stiffness", "listed", draws="offset", values=[0.0, -1e5, 2e5])]
-        specimens = study(*listed, axes=axis("load.ratio", 0.0, 10.0, 5), count=3)
-        found = clunk_api.tolerance_map(specimens)
-        for k in range(5):
-            same_as_single_runs(found, specimens, (k,))
-        with pytest.raises(ConfigError, match="found 3 values"):
-            study(*listed, count=4)
-
     def test_the_probabilities_of_a_cell_add_up_to_one(self, found):
         assert np.array_equal(found.runs.sum(axis=-1), np.full(found.shape, 16))
         assert np.array_equal(found.probability.sum(axis=-1), np.ones(found.shape))  # exact: 16 is a power of two

@@ -222,8 +222,6 @@ def operating_point(study: Study) -> Study:
             "There is no spread to divide: the config has no [[sweep.tolerances]], one for each parameter that is "
             "drawn (clunk help tolerances)."
         )
-    if any(draw.distribution == "listed" for draw in swept.tolerances):
-        raise ClunkError("Listed draws belong together; Sobol indices need draws that are independent.")
     parameters = [draw.parameter for draw in swept.tolerances]
     if twice := next((each for each in parameters if parameters.count(each) > 1), None):
         raise ClunkError(f"{twice} has two tolerances; Sobol indices are those of parameters with one each.")

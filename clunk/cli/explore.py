@@ -61,9 +61,8 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
     if has_tolerances(study):
         study = nominal(study)
         terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
-    if study.sweep is None or not (study.sweep.axes or study.sweep.samples):
+    if not (study.swept.axes or study.swept.samples):
         study = of_one_cell(study)
-    assert study.sweep is not None
     terminal.warn_of_coarse_step(study, study.solver.method)
     job = Job(study)
     with reporting(True, job.design.cells, study) as report:

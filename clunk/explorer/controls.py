@@ -13,7 +13,7 @@ from clunk.explorer.figures import WIDE, title_of
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.designs import is_unused
 from clunk.study.keys import Key
-from clunk.study.parameters import complaint, located, nominal_value, parameters, quantity
+from clunk.study.parameters import located, nominal_value, parameters, quantity
 from clunk.study.study import Study
 
 # In this order, those that the config has; a lash's stand for those of each lash.
@@ -33,9 +33,7 @@ _STEPS = 50  # of a slider at least
 
 def adjustable(study: Study, swept: set[str]) -> dict[str, float]:
     """Keys of a study that a slider may change, with their values; those that are looked for first come first."""
-    document = study.model_dump()
-    keys = [key for key in parameters(document) if key not in swept and complaint(key, document) is None]
-    values = {key: nominal_value(study, key) for key in keys}
+    values = {key: nominal_value(study, key) for key in parameters(study) if key not in swept}
     known = {key: value for key, value in values.items() if math.isfinite(value) and not is_unused(study, key)}
 
     def rank(key: str) -> int:

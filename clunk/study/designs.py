@@ -75,9 +75,7 @@ def along_run(columns: Iterable[tuple[str, Floats]]) -> Design:
 
 def design_of(study: Study) -> Design:
     """The design of a study's sweep, tolerances aside; of no dimension and one cell without axes and samples."""
-    sweep = study.sweep
-    if sweep is None:
-        return Design()
+    sweep = study.swept
     swept = [(axis.parameter, axis.grid) for axis in sweep.axes]
     if sweep.design == "zip" and sweep.axes:
         return along_run(swept)
@@ -124,7 +122,7 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
 
 def has_tolerances(study: Study) -> bool:
     """Whether each cell of a study is to be run for a sample of toleranced parameters."""
-    return study.sweep is not None and bool(study.sweep.tolerances)
+    return bool(study.swept.tolerances)
 
 
 def nominal(study: Study) -> Study:
@@ -136,18 +134,17 @@ def nominal(study: Study) -> Study:
 
 def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
     """The study with some axes cut down to one value each; values : parameter -> value, in the key's unit."""
-    assert study.sweep is not None
     axes = tuple(
         Axis(parameter=axis.parameter, values=(values[axis.parameter],)) if axis.parameter in values else axis
-        for axis in study.sweep.axes
+        for axis in study.swept.axes
     )
-    return study.model_copy(update={"sweep": study.sweep.model_copy(update={"axes": axes})})
+    return study.model_copy(update={"sweep": study.swept.model_copy(update={"axes": axes})})
 
 
 def unused_parameters(study: Study) -> list[str]:
     """Swept, drawn or fitted keys that change nothing in the study's contact model."""
-    sweep = study.sweep
-    swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)] if sweep else []
+    sweep = study.swept
+    swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)]
     swept += [each.parameter for each in study.fit.parameters] if study.fit else []
     return [parameter for parameter in swept if is_unused(study, parameter)]
 

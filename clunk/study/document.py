@@ -12,6 +12,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from clunk.study.errors import ConfigError, Problem, nearest, shorten
 
 Place = tuple[str | int, ...]
@@ -161,11 +163,13 @@ def items_of(value: Any) -> Sequence[Any]:
 
 
 def value_at(document: Any, place: Place) -> Any:
-    """The value at a place of a document that may hold anything; None where there is none."""
+    """The value at a place of a document that may hold anything, or of a config's model; None where there is none."""
     for step in place:
         if isinstance(step, int):
             items = items_of(document)
             document = items[step] if step < len(items) else None
+        elif isinstance(document, BaseModel):
+            document = getattr(document, step, None)
         else:
             document = document.get(step) if isinstance(document, Mapping) else None
     return document

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import AfterValidator, Field, PlainValidator, Tag, ValidationInfo, WithJsonSchema, model_validator
 
 from clunk.study.document import Place, items_of
-from clunk.study.errors import ConfigError, listing, nearest, shorten
+from clunk.study.errors import ConfigError, shorten
 from clunk.study.loads import Load
 from clunk.study.sweeps import Draws, Sweep
 from clunk.study.tables import (
@@ -33,6 +33,7 @@ from clunk.study.tables import (
     is_number,
     misnamed,
     numbered_inertia,
+    position_of,
     refusal,
 )
 
@@ -43,6 +44,7 @@ _PARTS = {  # of a driveline, that a quantity can be of
     "shaft torque": ("shaft",),
     "contact torque": ("lash",),
 }
+_NO_SWEEP = Sweep.model_construct()
 NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that say which runs there are, and nothing of one
 
 _Stages = Annotated[
@@ -354,6 +356,11 @@ class Config(Table):
     optimize: Optimize | None = None
 
     @property
+    def swept(self) -> Sweep:
+        """The sweep; one without axes and draws where the config has none."""
+        return self.sweep or _NO_SWEEP
+
+    @property
     def lashes(self) -> tuple[Lash, ...]:
         """The lashes, in order."""
         return self.lash if isinstance(self.lash, tuple) else (self.lash,)
@@ -394,12 +401,11 @@ def lash_position(name: str | None, names: Sequence[str]) -> int:
     ConfigError
         Where there is none.
     """
-    if name is None or name in names:
-        return 0 if name is None else list(names).index(name)
-    if name.isdecimal() and 1 <= int(name) <= len(names):
-        return int(name) - 1
-    there = f"there are {listing(names)}" if len(names) > 1 else f"there is only {names[0]}"
-    raise ConfigError(f"There is no lash {shorten(name)}; {there}.")
+    try:
+        number = int(name) if name is not None and name.isdecimal() else name
+        return 0 if name is None else position_of(number, len(names), names, "lash")
+    except ValueError as error:
+        raise ConfigError(f"{error}.") from None
 
 
 def part_of(measure: Measure, config: Config) -> Part:
@@ -410,14 +416,6 @@ def part_of(measure: Measure, config: Config) -> Part:
         "shaft": [shaft.name for shaft in config.driveline.shafts],
         "lash": config.lash_names,
     }
-    for element in elements:
-        if measure.of in names[element]:
-            return Part(element, names[element].index(str(measure.of)))
-    count = len(names[elements[0]])
-    if type(measure.of) is int and 1 <= measure.of <= count:
-        return Part(elements[0], measure.of - 1)
-    known = [name for element in elements for name in names[element] if name is not None]
-    likely = nearest(measure.of, known) if isinstance(measure.of, str) else None
-    hint = f"did you mean {shorten(likely)}? It" if likely else "it"
-    choices = listing([f"its number from 1 to {count}", *map(shorten, known)], "or")
-    raise ValueError(f"there is no {' or '.join(elements)} {shorten(measure.of)}; {hint} must be {choices}")
+    parts = [Part(element, k) for element in elements for k in range(len(names[element]))]
+    listed = [name for element in elements for name in names[element]]
+    return parts[position_of(measure.of, len(names[elements[0]]), listed, " or ".join(elements))]

@@ -40,62 +40,58 @@ def place_of(parameter: str, names: Names) -> Place | None:
     return ("lash", *place[2:]) if is_only_lash else place or None
 
 
-def names_of(document: Mapping[str, Any]) -> Names:
-    """The names of a document's inertias, shafts and lashes."""
-    lashes = items_of(document.get("lash")) or (document.get("lash"),)
-    shafts = items_of(value_at(document, ("driveline", "shafts")))
+def names_of(document: Any) -> Names:
+    """The names of the inertias, shafts and lashes of a document or a config."""
+    lashes = value_at(document, ("lash",))
     return {
         "driveline.inertias": items_of(value_at(document, ("driveline", "names"))),
-        "driveline.shafts": [value_at(shaft, ("name",)) for shaft in shafts],
-        "lash": [lash_name(k, value_at(lash, ("name",))) for k, lash in enumerate(lashes)],
+        "driveline.shafts": [
+            value_at(shaft, ("name",)) for shaft in items_of(value_at(document, ("driveline", "shafts")))
+        ],
+        "lash": [lash_name(k, value_at(lash, ("name",))) for k, lash in enumerate(items_of(lashes) or (lashes,))],
     }
 
 
-def parameters(document: Mapping[str, Any]) -> list[str]:
-    """The parameters of a document, given or left out; of long lists the first."""
+def parameters(document: Any) -> list[str]:
+    """The parameters of a document or a config, given or left out; of long lists the first."""
     known: list[Place] = []
     for pattern in (pattern for pattern, key in keys().items() if key.quantity is not None):
         places: list[Place] = [()]
         for step in pattern:
-            if step != ITEM:  # a list has items, and no keys
-                places = [at for at in places if not items_of(value_at(document, at))]
-            places = [(*at, each) for at in places for each in (_items(document, at) if step == ITEM else [step])]
-        known += places
+            places = [(*at, each) for at in places for each in _steps(value_at(document, at), step)]
+        known += [at for at in places if not items_of(value_at(document, at))]
     return [dotted(place) for place in known]
 
 
-def _items(document: Mapping[str, Any], place: Place) -> range:
-    return range(min(len(items_of(value_at(document, place))), _NAMED_ITEMS))
+def _steps(value: Any, step: str | int) -> Sequence[str | int]:
+    """Steps from a value by which a place can go on: into the items of a list, or to a key of a table."""
+    items = items_of(value)
+    if step == ITEM:
+        return range(min(len(items), _NAMED_ITEMS))
+    return () if items else (step,)
 
 
-def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
-    """Reason why a key cannot be swept in a document; None where it can."""
+def complaint(parameter: str, document: Any) -> str | None:
+    """Reason why a key cannot be swept in a document or a config; None where it can."""
     place = place_of(parameter, names_of(document))
     key = None if place is None else key_at(place)
-    if place is not None and key is not None and key.quantity is not None:
-        for k, step in enumerate(place):
-            count = len(items_of(value_at(document, place[:k])))
-            if isinstance(step, str) and count:
-                return f"there are {count} lashes; name one, {dotted((*place[:k], 0, *place[k:]))} for example"
-            if isinstance(step, int) and step >= count:
-                if value_at(document, place[:k]) is not None and not count:
-                    return f"there is no {parameter}; {dotted(place[:k])} is one number"
-                return f"there is no {parameter}; {dotted(place[:k])} has {count} items" if count else None
-        if items_of(value_at(document, place)):
-            return f"{parameter} has {len(items_of(value_at(document, place)))} stages; name one, {parameter}[1]"
+    if place is not None and key is not None and key.quantity is not None and _is_there(place, document):
         return None
-    if place is not None and place[-1] in OTHER_UNITS:
-        instead = dotted((*place[:-1], OTHER_UNITS[str(place[-1])]))
-        return f"{parameter} cannot be swept; sweep {instead} instead, which it becomes"
-    known = parameters(document)
-    leaf = parameter.rsplit(".", 1)[-1]
-    same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]
-    in_use = [name for name in same_leaf if value_at(document, place_of(name, {}) or ()) is not None]
-    likely = next(iter(in_use or same_leaf), nearest(parameter, known))
-    hint = f"; did you mean {shorten(likely)}?" if likely else "; a key such as load.ratio or driveline.inertias[4] can"
-    if key is not None:
-        return f"{shorten(parameter)} is no quantity that can be swept{hint}"
-    return f"the config has no key {shorten(parameter)}{'' if likely else ' that can be swept'}{hint}"
+    table, _, leaf = parameter.rpartition(".")
+    meant, known = f"{table}.{OTHER_UNITS.get(leaf, leaf)}", parameters(document)
+    likely = nearest(meant, [name for name in known if name.startswith(f"{meant}[")] or known)
+    hint = f"did you mean {shorten(likely)}?" if likely else "load.ratio and driveline.inertias[4] are such keys"
+    return f"no number {shorten(parameter)} of a config can be swept; {hint}"
+
+
+def _is_there(place: Place, document: Any) -> bool:
+    """Whether a number has a place in a document, as far as that has the lists and tables around it."""
+    for k, step in enumerate((*place, "")):
+        value = value_at(document, place[:k])
+        count = len(items_of(value))
+        if value is not None and not (step < count if isinstance(step, int) else count == 0):
+            return False
+    return True
 
 
 def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
@@ -106,19 +102,10 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     ConfigError
         Where there is no such parameter.
     """
-    shafts, inertias = [shaft.name for shaft in config.driveline.shafts], config.driveline.names or ()
-    names = {"driveline.inertias": inertias, "driveline.shafts": shafts, "lash": config.lash_names}
-    place = place_of(parameter, names)
+    place = place_of(parameter, names_of(config))
     key = None if place is None else key_at(place)
-    value: Any = config if key is not None and key.quantity is not None else None
-    for step in place or ():
-        if isinstance(step, int):
-            value = value[step] if step < len(items_of(value)) else None
-        else:
-            value = getattr(value, step, None)
-    if isinstance(value, tuple):  # one for each stage
-        value = None
-    message = complaint(parameter, config.model_dump(exclude_defaults=True)) if value is None else None
+    value = value_at(config, place or ()) if key is not None and key.quantity is not None else None
+    message = None if isinstance(value, int | float) else complaint(parameter, config)
     if place is None or key is None or message is not None:
         raise _refusal(parameter, message)
     return place, key, math.nan if value is None else float(value)
@@ -144,10 +131,10 @@ def with_values(config: Config, values: Mapping[str, Any]) -> tuple[dict[str, An
 
 def drawn_numbers(config: Config, draws: Sequence[Draw]) -> list[Floats]:
     """Numbers that the sweep's sampling draws for each of these, (count,) each: values, factors or offsets."""
-    if config.sweep is None or not draws:
+    if not draws:
         return []
-    points = config.sweep.sampling.points(len(draws)).T
-    return [draw.sample(each, unswept_value(config, draw.parameter)) for draw, each in zip(draws, points, strict=True)]
+    points = zip(draws, config.swept.sampling.points(len(draws)).T, strict=True)
+    return [draw.quantiles(each, unswept_value(config, draw.parameter)) for draw, each in points]
 
 
 def with_draws(
@@ -163,8 +150,8 @@ def with_draws(
 
 def unswept_value(config: Config, parameter: str) -> float:
     """The nominal value of a parameter; NaN for one that has none, or is swept: nothing is drawn around it then."""
-    axes = config.sweep.axes if config.sweep is not None else ()
-    return math.nan if any(axis.parameter == parameter for axis in axes) else nominal_value(config, parameter)
+    is_swept = any(axis.parameter == parameter for axis in config.swept.axes)
+    return math.nan if is_swept else nominal_value(config, parameter)
 
 
 def nominal_value(config: Config, parameter: str) -> float:

@@ -17,7 +17,7 @@ from clunk.study.document import Place, dotted
 from clunk.study.errors import listing, shorten
 from clunk.study.keys import validated
 from clunk.study.loads import PROFILES, TORQUES, Load, uses
-from clunk.study.models import NOT_OF_A_RUN, OF_IMPACTS, Config, FreeParameter, Part, part_of
+from clunk.study.models import OF_IMPACTS, Config, FreeParameter, Part, part_of
 from clunk.study.parameters import complaint, drawn_numbers, located, with_values
 from clunk.study.sweeps import Draw
 from clunk.study.tables import Finding, misnamed
@@ -175,7 +175,7 @@ def _is_impulsive(part: Part, config: Config) -> bool:
 def _measured(config: Config) -> Iterator[Finding]:
     """Require names that differ, and parts that there are; and no acceleration that an impulse makes infinite."""
     names = [measure.name for measure in config.measures]
-    taken = _TAKEN | {variable_of(axis.parameter) for axis in (config.sweep.axes if config.sweep is not None else ())}
+    taken = _TAKEN | {variable_of(axis.parameter) for axis in config.swept.axes}
     for k, measure in enumerate(config.measures):
         place: Place = ("measures", k)
         if measure.name in names[:k]:
@@ -198,7 +198,6 @@ def _measured(config: Config) -> Iterator[Finding]:
 def _varied(config: Config) -> Iterator[Finding]:
     """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
     swept: dict[str, dict[str, Place]] = {}
-    document = config.model_dump(exclude=NOT_OF_A_RUN)
     for table, verb in _VARIED:
         taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
         for k, entry in enumerate(getattr(getattr(config, table[0]), table[1], ())):
@@ -206,7 +205,7 @@ def _varied(config: Config) -> Iterator[Finding]:
             # a factor and an offset of a key act one after the other, in a fit on a value, too
             draws = getattr(entry, "draws", "value") if table != ("sweep", "samples") else "value"
             for parameter in getattr(entry, "keys", (entry.parameter,)):
-                text = complaint(parameter, document) or load_complaint(parameter, config)
+                text = complaint(parameter, config) or load_complaint(parameter, config)
                 if text is None and table != ("sweep", "axes"):
                     text = _undrawable(parameter, entry, table, parameter in swept, config)
                 before = taken.setdefault(parameter, {})
@@ -219,7 +218,7 @@ def _varied(config: Config) -> Iterator[Finding]:
                     before[draws] = at
         swept = swept or taken
     optimize = config.optimize
-    if optimize is not None and optimize.robust is not None and not (config.sweep and config.sweep.tolerances):
+    if optimize is not None and optimize.robust is not None and not config.swept.tolerances:
         yield ("optimize", "robust"), "a share of drawn drivelines needs [[sweep.tolerances]], and there are none"
 
 
@@ -306,9 +305,7 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
 
     The sample is known beforehand.
     """
-    sweep = config.sweep
-    if sweep is None:
-        return
+    sweep = config.swept
     columns = {axis.parameter: axis.grid for axis in sweep.axes}
     axes = [*enumerate(sweep.axes)]
     for group in [axes] if sweep.design == "zip" else ([each] for each in axes):
@@ -359,7 +356,7 @@ LONGEST_CHANGE = 20.0  # times the run, that a load may take to change: less tha
 
 def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
     """Sentences on what is odd in a config; given : keys of its load that a user has given, by name."""
-    swept = {axis.parameter for axis in (config.sweep.axes if config.sweep is not None else ())}
+    swept = {axis.parameter for axis in config.swept.axes}
     for place, lash in zip(config.lash_places, config.lashes, strict=True):
         radius = dotted((*place, "radius"))
         if lash.radius > LARGEST_RADIUS:

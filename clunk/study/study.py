@@ -29,7 +29,7 @@ class Study(Config):
         yield from broken_rules(self)
 
     def __repr__(self) -> str:
-        load, solver, sweep = self.load, self.solver, self.sweep
+        load, solver, sweep = self.load, self.solver, self.swept
         rows = [
             ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
             *(
@@ -40,10 +40,10 @@ class Study(Config):
             ("load", f"{load.profile} on inertia {load.on}"),
             ("solver", f"{solver.method}, to {solver.end_time:g} s"),
         ]
-        for axis in sweep.axes if sweep is not None else ():
+        for axis in sweep.axes:
             spread = f"{axis.grid[0]:g} to {axis.grid[-1]:g}, {axis.count_of_values} values"
             rows.append(("swept", f"{axis.parameter}: {spread}"))
-        for draw in (*sweep.samples, *sweep.tolerances) if sweep is not None else ():
+        for draw in (*sweep.samples, *sweep.tolerances):
             rows.append(("drawn", f"{draw.parameter}: {draw.distribution}"))
         return as_text(f"clunk.Study {self.title!r}", rows)
 
@@ -98,7 +98,7 @@ def decisive_content(study: Study) -> dict[str, Any]:
     decisive["driveline"].pop("names", None)
     for named in (*(items_of(decisive["lash"]) or [decisive["lash"]]), *decisive["driveline"]["shafts"]):
         named.pop("name", None)
-    for axis in study.sweep.axes if study.sweep is not None else ():
+    for axis in study.swept.axes:
         decisive = with_value(decisive, located(study, axis.parameter)[0], None)
     return decisive
 

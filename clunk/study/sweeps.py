@@ -7,6 +7,7 @@ exact, and the same seed gives the same sample.
 import functools
 import math
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
@@ -64,12 +65,10 @@ class Axis(Varied):
             text = f"missing {' and '.join(missing)}" if spans else "no values are given"
             yield (), f"{text}; give start, stop and count, or values"
         elif self.scale == "log" and min(start, stop) <= 0.0:
-            key, end = ("start", start) if start <= 0.0 else ("stop", stop)
-            yield (key,), f'found {end:g}; must be greater than 0 on an axis of scale "log"'
-        elif count == 1 and start != stop:
-            yield ("count",), f"one value cannot span {start:g} to {stop:g}; count must be 2 or greater"
-        elif count > 1 and start == stop:
-            yield (), f"start and stop are both {start:g}; give count = 1, or a stop other than the start"
+            yield (), f'found {start:g} to {stop:g}; both must be greater than 0 on an axis of scale "log"'
+        elif (count == 1) != (start == stop):
+            text = f"found {start:g} to {stop:g} in {count:,}"
+            yield ("count",), f"{text}; one value has the start as its stop, and several have another"
         elif not math.isfinite((stop - start) * count) or (self.scale == "log" and stop / start == math.inf):
             yield (), f"the span from {start:g} to {stop:g} is beyond the range of numbers"
 
@@ -119,7 +118,6 @@ _NUMBERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "normal": (("std",), ("mean", "low", "high")),
     "lognormal": (("sigma",), ("median", "low", "high")),
     "triangular": (("low", "mode", "high"), ()),
-    "listed": (("values",), ()),
 }
 
 
@@ -127,12 +125,12 @@ class Draw(Varied):
     """A key that is drawn at random, in the key's unit.
 
     distribution : "uniform" from low to high; "normal" by mean and std, or "lognormal" by its median and sigma, the
-        standard deviation of its logarithm, which low and high truncate; "triangular" from low to high, whose density
-        peaks at mode; or "listed" values, one for each draw of the sample, of several such keys the k-th together
+        standard deviation of its logarithm, which low and high truncate; or "triangular" from low to high, whose
+        density peaks at mode
     draws : what the number is: the key's value, a factor on its nominal value, or an offset from that
     """
 
-    distribution: Literal["uniform", "normal", "lognormal", "triangular", "listed"]
+    distribution: Literal["uniform", "normal", "lognormal", "triangular"]
     draws: Literal["value", "factor", "offset"] = "value"
     low: float | None = None
     high: float | None = None
@@ -141,7 +139,6 @@ class Draw(Varied):
     median: Positive | None = None
     sigma: Positive | None = None
     mode: float | None = None
-    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_DRAWS)] | None = None
 
     def contradictions(self) -> Iterator[Finding]:
         """Require the numbers of the distribution and no others, low < high, and the mode from low to high."""
@@ -162,19 +159,12 @@ class Draw(Varied):
 
     def numbers(self, nominal: float) -> dict[str, float]:
         """Parameters of the distribution, by name; a mean or median that is left out is the nominal value."""
-        if self.values is not None:
-            return {"low": min(self.values), "high": max(self.values)}
         middle = {"value": nominal, "factor": 1.0, "offset": 0.0}[self.draws]
-        numbers = {name: getattr(self, name) for names in _NUMBERS[self.distribution] for name in names}
-        numbers = {
-            name: middle if value is None and name in ("mean", "median") else value for name, value in numbers.items()
-        }
-        return {name: value for name, value in numbers.items() if value is not None}
+        known = {"mean": middle, "median": middle} | self.model_dump(exclude_none=True)
+        return {name: known[name] for names in _NUMBERS[self.distribution] for name in names if name in known}
 
     def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
         """Quantiles of the drawn number at these probabilities, around the nominal value of its key."""
-        if self.values is not None:
-            return np.asarray(np.quantile(np.array(self.values), np.asarray(probability, np.float64)), np.float64)
         numbers = self.numbers(nominal)
         low, high = numbers.get("low"), numbers.get("high")
         distribution = _distribution(self.distribution, numbers)
@@ -184,10 +174,6 @@ class Draw(Varied):
         values: Floats = np.asarray(distribution.ppf(below + u * (1.0 - below - above)), np.float64)
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
         return np.clip(values, low, high) if (low, high) != (None, None) else values
-
-    def sample(self, points: Floats, nominal: float) -> Floats:
-        """Numbers of the sample whose points have these coordinates, (count,) in [0, 1)."""
-        return self.quantiles(points, nominal) if self.values is None else np.array(self.values)
 
     def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> Floats:
         """Values of the key, from the numbers that were drawn and its nominal value."""
@@ -273,18 +259,12 @@ class Sweep(Table):
                 yield ("axes", k), f"{text}; what is walked together must be equally long"
             values = self.axes[k].values
             if self.design == "grid" and values is not None and len(set(values)) < count:
-                first = {value: at for at, value in reversed(list(enumerate(values)))}
-                again = next(at for at, value in enumerate(values) if first[value] != at)
-                yield ("axes", k, "values", again), f"the value {values[again]:g} occurs twice"
+                ((value, times),) = Counter(values).most_common(1)
+                yield ("axes", k, "values"), f"the value {value:g} occurs {times} times"
         if self.samples and self.tolerances:
             yield ("samples",), "samples and tolerances are given together; give one of the two"
         elif self.samples and self.design == "zip":
             yield ("samples",), 'samples do not go with design = "zip"; give one of the two'
-        for name, draws in (("samples", self.samples), ("tolerances", self.tolerances)):
-            for k, draw in enumerate(draws):
-                if draw.values is not None and len(draw.values) != self.sampling.count:
-                    text = f"found {len(draw.values)} values, and sweep.sampling.count is {self.sampling.count}"
-                    yield (name, k, "values"), text
         cells = math.prod(counts if self.design == "grid" else counts[:1])
         cells *= self.sampling.count if self.samples else 1
         if cells > LARGEST_GRID:

@@ -110,25 +110,32 @@ def misnamed(names: Sequence[str | None], noun: str) -> Iterator[tuple[int, str]
             yield k, f"the name {shorten(name)} is taken by {noun} {names.index(name) + 1}"
 
 
-def _numbered(value: Any, info: ValidationInfo, ground: bool) -> Any:
+def position_of(value: Any, count: int, names: Sequence[str | None], noun: str) -> int:
+    """Position of the item that is meant by a number from 1 to a count, or by a name.
+
+    Raises ValueError, with what is allowed, where there is none.
+    """
+    if type(value) is int and 1 <= value <= count:
+        return value - 1
+    known = [name for name in names if isinstance(name, str)]
+    if value in known:
+        return names.index(value)
+    likely = nearest(value, known) if isinstance(value, str) else None
+    hint = f"did you mean {shorten(likely)}? It" if likely else "it"
+    choices = listing([f"a number from 1 to {count}", *map(shorten, known[:8])], "or")
+    raise ValueError(f"there is no {noun} {shorten(value)}; {hint} must be {choices}")
+
+
+def numbered_inertia(value: Any, info: ValidationInfo) -> Any:
     """Number of an inertia that is given by number or name; names and inertias are in the context of validation."""
     driveline = info.context if isinstance(info.context, Mapping) else {}
-    count, names = len(items_of(driveline.get("inertias"))), items_of(driveline.get("names"))
-    names = [name for name in names if isinstance(name, str)]
-    if (ground and value == "ground") or (type(value) is int and (1 <= value <= count or not count)):
+    inertias = items_of(driveline.get("inertias"))
+    if type(value) is int and not inertias:  # these have an error of their own
         return value
-    if isinstance(value, str) and value in names:
-        return names.index(value) + 1
-    choices = [f"an inertia's number from 1 to {count}" if count else "an inertia's number"]
-    if names:
-        choices.append(f"its name ({', '.join(shorten(name) for name in names[:8])}{', …' * (len(names) > 8)})")
-    allowed = listing([*choices, '"ground"'] if ground else choices, "or")
-    if not isinstance(value, str):
-        found = f"there is no inertia {shorten(value)}" if type(value) is int else f"found {shorten(value)}"
-        raise refusal(((), f"{found}; must be {allowed}"))
-    likely = nearest(value, [*names, "ground"] if ground else names)
-    hint = f"did you mean {shorten(likely)}? It" if likely else "it"
-    raise refusal(((), f"no inertia is named {shorten(value)}; {hint} must be {allowed}"))
+    try:
+        return position_of(value, len(inertias), items_of(driveline.get("names")), "inertia") + 1
+    except ValueError as error:
+        raise refusal(((), str(error))) from None
 
 
 def _distinct(ends: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -150,11 +157,6 @@ def _sizeable(value: float) -> float:
     return value
 
 
-def numbered_inertia(value: Any, info: ValidationInfo) -> Any:
-    """Number of an inertia that is given by number or name."""
-    return _numbered(value, info, ground=False)
-
-
 OneOrSeveral = Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE)
 Positive = Annotated[float, Field(gt=0), AfterValidator(_sizeable)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_sizeable)]
@@ -169,7 +171,7 @@ Inertia = Annotated[
 ]
 End = Annotated[
     int | Literal["ground"],
-    PlainValidator(lambda value, info: _numbered(value, info, ground=True)),
+    PlainValidator(lambda value, info: value if value == "ground" else numbered_inertia(value, info)),
     WithJsonSchema({"type": ["integer", "string"]}),
 ]
 Ends = Annotated[
