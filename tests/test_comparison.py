@@ -300,7 +300,7 @@ def test_what_is_wrong_with_measurements_is_a_sentence_with_its_line(
     path = written(tmp_path, content)
     with pytest.raises(ClunkError) as caught:
         read_experiment(path)
-    assert f"{path}, line {line}: " in str(caught.value) or f"on line {line}." in str(caught.value)
+    assert f"{path}, line {line}: " in str(caught.value) or f"on line {line};" in str(caught.value)
     assert found in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -311,7 +311,7 @@ def test_a_file_without_measurements_a_missing_one_and_a_directory_are_sentences
             read_experiment(written(tmp_path, content))
     with pytest.raises(ClunkError, match=r"does not exist; .* table_4_1"):
         read_experiment(tmp_path / "none.csv")
-    with pytest.raises(ClunkError, match="is a directory"):
+    with pytest.raises(ClunkError, match="Is a directory"):
         read_experiment(tmp_path)
     with pytest.raises(ClunkError, match="cannot be read"):
         read_experiment("a\0b")

@@ -90,9 +90,9 @@ def test_the_schema_allows_one_lash_and_several():
 @pytest.mark.parametrize(
     ("text", "overrides", "key", "message"),
     [
-        (TWO, ["lash.backlash_deg=3"], "lash.backlash_deg", "lash[1] and so on"),
-        (TWO, ["lash[3].backlash_deg=3"], "lash[3].backlash_deg", "lash is a list of 2 items"),
-        (TWO, ["lash[rear].radius=3"], "lash[rear].radius", "lash has no item of this name"),
+        (TWO, ["lash.backlash_deg=3"], "lash.backlash_deg", "no such place"),
+        (TWO, ["lash[3].backlash_deg=3"], "lash[3].backlash_deg", "no such place"),
+        (TWO, ["lash[rear].radius=3"], "lash[rear].radius", "no such place"),
         (TWO, ["lash[2].name='gear'"], "lash[2].name", 'the name "gear" is taken by lash 1'),
         (TWO, ["lash[1].name='lash 2'"], "lash[2].name", 'the name "lash 2" is taken by lash 1'),
         (TWO, ["lash[1].name='2'"], "lash[1].name", "must not be empty, a number"),
@@ -107,7 +107,7 @@ def test_the_schema_allows_one_lash_and_several():
             TWO.replace("backlash_deg = 3.0", "gap_mm = 3.0") + SWEPT.format("lash[2].radius"),
             [],
             "sweep.axes[1].parameter",
-            "changes the angle of lash[2].gap_mm; give lash[2].backlash_deg",
+            "changes the angle of its gap_mm; give its backlash_deg",
         ),
         ("lash = []\ndriveline.preset = 'car'", [], "lash", "a table, or an array of tables, [[lash]]"),
     ],

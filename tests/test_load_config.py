@@ -82,14 +82,14 @@ BROKEN = {
     "unknown profile": ('profile = "rampe"', "load.profile", 'did you mean "ramp"?'),
     "negative": ('profile = "ramp"\nduration = -1', "load.duration", "found -1; must be a number, 0 or greater (s)"),
     "negative, unused": ("duration = -1", "load.duration", "0 or greater (s)"),
-    "nan": ('profile = "lag"\ntime_constant = nan', "load.time_constant", "must be a finite number"),
+    "nan": ('profile = "lag"\ntime_constant = nan', "load.time_constant", "found nan; must be a number"),
     "no frequency": ('profile = "sine"\namplitude = 1\nfrequency = 0', "load.frequency", "greater than 0 (Hz)"),
     "very fast": ('profile = "sine"\namplitude = 1\nfrequency = 1e9', "load.frequency", "2e+09 periods of the load"),
     "ground": ('on = "ground"', "load.on", 'there is no inertia "ground"; it must be'),
     "lengths": (f"{TABLE[:-7]}]", "load.torques", "found 2 torques for 3 times"),
     "back": (TABLE.replace("0.2", "0.05"), "load.times[3]", "found 0.05 after 0.1; times must not decrease"),
     "late": (TABLE.replace("[0.0", "[0.01"), "load.times[1]", "the first time must be 0"),
-    "nan among times": (TABLE.replace("0.2", "nan"), "load.times[3]", "must be a finite number"),
+    "nan among times": (TABLE.replace("0.2", "nan"), "load.times[3]", "found nan; must be a number"),
     "infinite torque": (TABLE.replace("-3.0", "inf"), "load.torques[2]", "must be a finite number (N m)"),
     "no list": ("times = 0.0", "load.times", "found 0.0; must be a list of times (s)"),
     "other torques": (f"{TABLE}\nratio = 5", "load.ratio", 'given beside profile = "table"'),
@@ -172,7 +172,7 @@ def test_a_broken_trace_is_reported_with_its_line(case, tmp_path):
 
 def test_a_trace_that_is_no_file_is_refused(tmp_path):
     (tmp_path / "trace.csv").write_bytes(b"0,1\n\xff")
-    for file, message in (("gone.csv", "does not exist"), (".", "is a directory"), ("trace.csv", "line 2")):
+    for file, message in (("gone.csv", "does not exist"), (".", "Is a directory"), ("trace.csv", "line 2")):
         ((key, reported),) = problems(config(f'profile = "table"\nfile = "{file}"'), folder=tmp_path)
         assert key == "load.file"
         assert message in reported

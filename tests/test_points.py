@@ -23,8 +23,8 @@ def test_runs_are_a_file_like_any_other(single, tmp_path):
 @pytest.mark.parametrize(
     ("points", "sentence"),
     [
-        ({"load.ration": [1.0]}, 'load.ration: .*did you mean "load.ratio"'),
-        ({"solver.method": [1.0]}, "solver.method: "),
+        ({"load.ration": [1.0]}, 'load.ration" .*did you mean "load.ratio"'),
+        ({"solver.method": [1.0]}, '"solver.method" that can be swept'),
         ({"driveline.inertias[5]": [1.0]}, r"no number \"driveline.inertias\[5\]"),
         ({"driveline.inertias[4]": [1e-3, 1e11]}, "lost in rounding"),
         ({"load.ratio": [1.0], "solver.step": [3.0]}, "a step of 3 s is longer"),

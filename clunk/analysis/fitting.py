@@ -36,7 +36,7 @@ from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value, parameters, with_draws
-from clunk.study.rules import load_complaint
+from clunk.study.rules import complaint
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
@@ -373,7 +373,7 @@ def check(study: Study, experiment: Experiment) -> None:
         )
     axes = axes_of(study, experiment)
     for axis in axes:
-        if (text := load_complaint(axis, study)) is not None:
+        if (text := complaint(axis, study)) is not None:
             raise ClunkError(f"{experiment.name}: {text}.")
         if any(prior.parameter == axis and prior.draws == "value" for prior in study.fit.parameters):
             raise ClunkError(

@@ -26,13 +26,13 @@ from clunk.study.document import (
     read_text,
     value_at,
 )
-from clunk.study.errors import ClunkWarning, ConfigError, Problem, listing, nearest, report, shorten
-from clunk.study.keys import PRESETS, key_at, validated, with_tuples
+from clunk.study.errors import ClunkWarning, ConfigError, Problem, report, shorten
+from clunk.study.keys import PRESETS, validated, with_tuples, wrong_value
 from clunk.study.loads import PROFILES, STEP_KEYS, TORQUES, read_trace, uses
-from clunk.study.parameters import Names, complaint, names_of, place_of
-from clunk.study.rules import doubts
+from clunk.study.parameters import Names, names_of, parameter_at, place_of
+from clunk.study.rules import VARIED, doubts
 from clunk.study.study import Study
-from clunk.study.tables import OTHER_UNITS, Finding
+from clunk.study.tables import OTHER_UNITS, Finding, is_number
 
 # Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
 _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (
@@ -115,15 +115,14 @@ def study_from_text(
         names = names_of(document)
         resolved = place_of(dotted(place), names)
         _displace(document, resolved or place, value, kept={*assignments, *assigned})
-        problem = _unknown_name(place, names) if resolved is None else assign(document, resolved, value)
-        findings += [(place, problem)] if problem is not None else []
+        if resolved is None or not assign(document, resolved, value):
+            findings.append((place, "there is no such place; items of a list go by their number from 1, or by name"))
         assigned.append(resolved or place)
         findings += _load_trace(document, ".") if place == file else []
         _unwrap_lash(document)
     if isinstance(document.get("driveline"), dict):
         document["driveline"].pop("preset", None)
     findings += _fill_in(document, assigned)
-    _number_free_keys(document)
     study, wrong = validated(Study, with_tuples(document))
     findings += wrong
     if study is not None and not findings and not malformed:
@@ -156,9 +155,7 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
         return "", {}, []
     findings: list[Finding] = []
     if name not in PRESETS:
-        likely = nearest(name, PRESETS) if isinstance(name, str) else None
-        hint = f"did you mean {shorten(likely)}? The presets are " if likely else "must be one of "
-        findings.append((place, f"found {shorten(name)}; {hint}{', '.join(map(shorten, PRESETS))}"))
+        findings.append((place, wrong_value(place, name)))
         name = PRESETS[0]  # so that the rest of the file can be checked
     preset = _read_preset(name)
     _warn_of_fewer_shafts(name, preset, raw)
@@ -182,12 +179,6 @@ def _read_preset(name: str) -> dict[str, Any]:
     tables = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
     base = tables["driveline"].pop("preset", None)
     return tables if base is None else _merged(_read_preset(base), tables)
-
-
-def _unknown_name(place: Place, names: Names) -> str:
-    around = next(dotted(place[:k]) for k, step in enumerate(place) if str(step).startswith("["))
-    known = [shorten(name) for name in names.get(around, ()) if name is not None]
-    return f"{around} has no item of this name; {f'the names are {listing(known[:8])}' if known else 'none has a name'}"
 
 
 def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str, Any]) -> None:
@@ -242,10 +233,10 @@ def _unwrap_lash(document: dict[str, Any]) -> None:
 
 
 def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
-    """The axes, samples, tolerances and fitted parameters of a document that are tables, each with its place."""
+    """The axes, samples, tolerances, fitted and free parameters of a document that are tables, each with its place."""
     return [
         ((table, name, k), entry)
-        for table, name in (("sweep", "axes"), ("sweep", "samples"), ("sweep", "tolerances"), ("fit", "parameters"))
+        for (table, name), _ in VARIED
         for k, entry in enumerate(items_of(value_at(document, (table, name))))
         if isinstance(entry, dict)
     ]
@@ -265,66 +256,52 @@ def _load_trace(document: dict[str, Any], folder: str | PathLike[str]) -> list[F
     return []
 
 
-def _number_free_keys(document: dict[str, Any]) -> None:
-    """Write the keys of an optimisation with numbers in the place of names; those that are none have errors later."""
-
-    def numbered(value: Any) -> Any:
-        if isinstance(value, list):
-            return [numbered(each) for each in value]
-        place = place_of(value, names) if isinstance(value, str) else None
-        return value if place is None else dotted(place)
-
-    names = names_of(document)
-    table = value_at(document, ("optimize",))
-    for each in (table, *items_of(value_at(table, ("parameters",)))):
-        for key in ("minimize", "parameter"):
-            if isinstance(each, dict) and key in each:
-                each[key] = numbered(each[key])
-
-
 def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Finding]:
     """Fill in what a document implies: swept keys that it leaves out, and the inertia of the severity.
 
-    Inertias' names in the parameters of the sweep become numbers. Returns what is wrong with these parameters.
+    Names in the parameters of sweep, fit and optimisation become numbers. Returns what is wrong with these parameters.
 
     assigned : keys that were set on the command line, which no axis may sweep
     """
     findings: list[Finding] = []
     profile = str(value_at(document, ("load", "profile")) or "step")
+    names, optimize = names_of(document), value_at(document, ("optimize",))
+    for table, key in ((optimize, "minimize"), *((entry, "parameter") for _, entry in _entries(document))):
+        if isinstance(table, dict) and key in table:
+            table[key] = _numbered(table[key], names)
     for at, entry in _entries(document):
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
             continue
-        problem = complaint(parameter, document)
-        place = place_of(parameter, names_of(document))
-        if place is not None and place[0] == "lash" and place[-1] == "radius":
-            gap, angle = ((*place[:-1], key) for key in ("gap_mm", "backlash_deg"))
-            if value_at(document, gap) is not None:
-                text = f"{dotted(place)} changes the angle of {dotted(gap)}; give {dotted(angle)} to sweep or draw it"
-                findings.append(((*at, "parameter"), text))
-        key = None if place is None else key_at(place)
-        if problem is not None or place is None or key is None:
-            findings.append(((*at, "parameter"), problem or "no key has this name"))
+        try:
+            place, known = parameter_at(parameter, document)
+        except ConfigError as error:
+            findings.append(((*at, "parameter"), str(error)))
             continue
-        entry["parameter"] = dotted(place)
         instead = [(*place[:-1], name) for name in _alternatives(place)]
-        if at[1] == "axes":
-            example = f"{dotted(at)}.{'start' if entry.get('values') is None else 'values'}"
-            text = f"{dotted(at)} sweeps {dotted(place)}; name one of its values by --at, or set the axis, as {example}"
-            set_instead = (
-                instead if place[0] == "lash" else []
-            )  # of the other torques, the axis has an error of its own
-            findings += [(each, text) for each in (place, *set_instead) if each in assigned]
+        if place[-1] == "radius" and value_at(document, (*place[:-1], "gap_mm")) is not None:
+            text = f"{parameter} changes the angle of its gap_mm; give its backlash_deg to sweep or draw it"
+            findings.append(((*at, "parameter"), text))
+        if at[1] != "axes":
+            continue
+        text = f"{dotted(at)} sweeps {parameter}; name one of its values by --at, or set the axis"
+        set_instead = instead if place[0] == "lash" else []  # of the other torques, the axis has an error of its own
+        findings += [(each, text) for each in (place, *set_instead) if each in assigned]
         is_missing = not any(value_at(document, each) is not None for each in (place, *instead))
-        if place[0] == "load":  # where its profile has no such key, an error says so
-            is_missing &= uses(profile, str(place[-1]))
-        if at[1] == "axes" and is_missing:
+        if is_missing and (place[0] != "load" or uses(profile, str(place[-1]))):  # else an error says so
             # the axis's first value, or one that is allowed: what is wrong with the axis has an error of its own
-            first = next(iter(items_of(entry.get("values"))), entry.get("start"))
-            is_fit = isinstance(first, int | float) and not isinstance(first, bool) and key.allows(first)
-            assign(document, place, first if is_fit and not key.whole else 1)
-    names, ends = names_of(document)["driveline.inertias"], items_of(value_at(document, ("lash", "between")))
-    inertias = [end for end in ends if type(end) is int or (isinstance(end, str) and end in names)]
+            first: Any = next(iter(items_of(entry.get("values"))), entry.get("start"))
+            assign(document, place, first if is_number(first) and known.allows(first) and not known.whole else 1)
     if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
-        document["impacts"].setdefault("acceleration_of", inertias[0] if inertias else 1)
+        ends = items_of(value_at(document, ("lash", "between")))
+        first = next((end for end in ends if type(end) is int or end in names["driveline.inertias"]), 1)
+        document["impacts"].setdefault("acceleration_of", first)
     return findings
+
+
+def _numbered(parameter: Any, names: Names) -> Any:
+    """A key, or each of several, with numbers in the place of names; whatever is no key as it is."""
+    if isinstance(parameter, list):
+        return [_numbered(each, names) for each in parameter]
+    place = place_of(parameter, names) if isinstance(parameter, str) else None
+    return parameter if place is None else dotted(place)

@@ -23,6 +23,7 @@ _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the
 _SEGMENT = re.compile(r"([A-Za-z0-9_-]+)((?:\[[^\[\]]+\])*)")
 _ITEM_NUMBER = re.compile(r"[0-9]{1,9}")
 _PLAIN_WORD = re.compile(r"(?:[^\W\d]|[./~])[\w./~-]*")  # or a path
+_WORDS_OF_TOML = {"true", "false", "inf", "nan"}
 
 
 # --- Text -> tables --------------------------------------------------------------------------------------------------
@@ -42,20 +43,17 @@ def read_text(
     except FileNotFoundError:
         known = nearest_file(Path(path), ".toml", "configs") or "." if known is None else known
         raise _refusal(f"{path} does not exist{known}") from None
-    except IsADirectoryError:
-        raise _refusal(f"{path} is a directory; {noun} is {form}.") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise _refusal(f"{path} cannot be read: {reason}.") from None
-    if data.startswith(b"\x89HDF"):
-        raise _refusal(f"{path} is an HDF5 file, not {noun}; {noun} is {form}.")
+        raise _refusal(f"{path} cannot be read: {reason}; {noun} is {form}.") from None
     if len(data) > _LARGEST_FILE:
         raise _refusal(f"{path} is larger than {_LARGEST_FILE // 2**20} MiB; that is not {noun}.")
     try:
         return data.decode("utf-8-sig")  # some editors write a byte order mark
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise _refusal(f"{path} is not UTF-8 text: byte 0x{data[error.start]:02x} on line {line}.", line) from None
+        text = f"{path} is not UTF-8 text: byte 0x{data[error.start]:02x} on line {line}; {noun} is {form}."
+        raise _refusal(text, line) from None
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
@@ -82,21 +80,18 @@ def parse_override(text: str) -> tuple[Place, Any]:
     """
     key, equals, value = text.partition("=")
     place, value = parse_place(key.strip()), value.strip()
-    if not equals:
-        raise ValueError("must be KEY=VALUE, for example load.ratio=7")
-    if place is None:
+    if not equals or place is None:
         raise ValueError(
             "must be KEY=VALUE with a dotted key, list items by number from 1, for example driveline.inertias[4]=0.003"
         )
+    if _PLAIN_WORD.fullmatch(value) and value not in _WORDS_OF_TOML:
+        return place, value
     try:
         parsed = tomllib.loads(f"value = {value}")
     except (ValueError, RecursionError):
-        if _PLAIN_WORD.fullmatch(value):
-            return place, value
-        hint = "text needs double quotes inside the shell's own"
-        raise ValueError(f"{shorten(value)} is no TOML value; {hint}") from None
+        parsed = {}
     if parsed.keys() != {"value"} or _is_too_deep(parsed):
-        raise ValueError(f"{shorten(value)} is not one TOML value")
+        raise ValueError(f"{shorten(value)} is no TOML value; text needs double quotes inside the shell's own")
     return place, parsed["value"]
 
 
@@ -198,22 +193,19 @@ def with_value(node: Any, place: Place, value: Any) -> Any:
     return {**node, step: with_value(node.get(step), place[1:], value)}
 
 
-def assign(document: dict[str, Any], place: Place, value: Any) -> str | None:
-    """Put a value at a place of a document, with the tables around it; returns why, where there is no such place."""
+def assign(document: dict[str, Any], place: Place, value: Any) -> bool:
+    """Put a value at a place of a document, with the tables around it; returns whether there is such a place."""
     node: Any = document
     for k, step in enumerate(place):
         if isinstance(step, str) != isinstance(node, dict) or (isinstance(step, int) and step >= len(items_of(node))):
-            name, what = dotted(place[:k]), "no list" if isinstance(step, int) else "no table"
-            if isinstance(node, list):
-                what = f"a list of {len(node)} items, {name}[1] and so on"
-            return f"there is no {dotted(place[: k + 1])}: {name} is {what}"
+            return False
         if k == len(place) - 1:
             node[step] = value
         elif isinstance(step, str):
             node = node.setdefault(step, {})
         else:
             node = node[step]
-    return None
+    return True
 
 
 # --- Lines -----------------------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
 from clunk.study.document import Place, dotted, value_at
 from clunk.study.errors import listing, nearest, shorten
@@ -185,7 +184,8 @@ def validated(model: type[Model], table: Any) -> tuple[Model | None, list[Findin
         elif place in unknown:
             findings.append((place, _unknown_key(place, unknown[place])))
         elif place not in unknown.values() and not is_list_of_wrong:
-            findings.append((place, _wrong_value(place, detail)))
+            is_missing = detail["type"] == "missing"
+            findings.append((place, wrong_value(place, detail["input"], detail["msg"].lower(), is_missing=is_missing)))
     return None, sorted(findings, key=lambda finding: finding[0] not in unknown)
 
 
@@ -225,17 +225,12 @@ def _unknown_key(place: Place, likely: Place | None) -> str:
     return f"unknown key; did you mean {shorten(likely[-1])} in {f'[[{table}]]' if ITEM in likely else f'[{table}]'}?"
 
 
-def _wrong_value(place: Place, detail: ErrorDetails) -> str:
-    key, value = key_at(place), detail["input"]
-    must_be = key.must_be if key is not None else detail["msg"].lower()
-    if detail["type"] == "missing":
-        if place == ("driveline",):
-            return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias and shafts"
-        if key is not None and key.children:
-            return f"missing; a config needs the table [{dotted(place)}]"
-        return f"missing; must be {must_be}"
-    if detail["type"] == "finite_number":
-        must_be = must_be.replace("a number", "a finite number")
-    likely = nearest(value, key.choices) if key is not None and isinstance(value, str) else None
+def wrong_value(place: Place, value: Any, fallback: str = "", *, is_missing: bool = False) -> str:
+    """Sentence on a value that a place does not allow, or that it lacks; fallback : what is allowed at no known key."""
+    if is_missing and place == ("driveline",):
+        return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias and shafts"
+    key = key_at(place)
+    must_be, choices = (fallback, ()) if key is None else (key.must_be, key.choices)
+    likely = nearest(value, choices) if isinstance(value, str) else None
     hint = f"; did you mean {shorten(likely)}?" if likely else ""
-    return f"found {shorten(value)}; must be {must_be}{hint}"
+    return f"{'missing' if is_missing else f'found {shorten(value)}'}; must be {must_be}{hint}"

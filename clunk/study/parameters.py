@@ -42,13 +42,14 @@ def place_of(parameter: str, names: Names) -> Place | None:
 
 def names_of(document: Any) -> Names:
     """The names of the inertias, shafts and lashes of a document or a config."""
-    lashes = value_at(document, ("lash",))
+    lash = value_at(document, ("lash",))
+    lashes = items_of(lash) or ((lash,) if lash is not None else ())
     return {
         "driveline.inertias": items_of(value_at(document, ("driveline", "names"))),
         "driveline.shafts": [
             value_at(shaft, ("name",)) for shaft in items_of(value_at(document, ("driveline", "shafts")))
         ],
-        "lash": [lash_name(k, value_at(lash, ("name",))) for k, lash in enumerate(items_of(lashes) or (lashes,))],
+        "lash": [lash_name(k, value_at(each, ("name",))) for k, each in enumerate(lashes)],
     }
 
 
@@ -71,17 +72,24 @@ def _steps(value: Any, step: str | int) -> Sequence[str | int]:
     return () if items else (step,)
 
 
-def complaint(parameter: str, document: Any) -> str | None:
-    """Reason why a key cannot be swept in a document or a config; None where it can."""
+def parameter_at(parameter: str, document: Any) -> tuple[Place, Key]:
+    """Place and key of a parameter in a document or a config.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such parameter.
+    """
     place = place_of(parameter, names_of(document))
     key = None if place is None else key_at(place)
     if place is not None and key is not None and key.quantity is not None and _is_there(place, document):
-        return None
+        return place, key
     table, _, leaf = parameter.rpartition(".")
     meant, known = f"{table}.{OTHER_UNITS.get(leaf, leaf)}", parameters(document)
     likely = nearest(meant, [name for name in known if name.startswith(f"{meant}[")] or known)
     hint = f"did you mean {shorten(likely)}?" if likely else "load.ratio and driveline.inertias[4] are such keys"
-    return f"no number {shorten(parameter)} of a config can be swept; {hint}"
+    text = f"a config has no number {shorten(parameter)} that can be swept; {hint}"
+    raise ConfigError(text, [Problem(parameter, None, text)])
 
 
 def _is_there(place: Place, document: Any) -> bool:
@@ -102,12 +110,8 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     ConfigError
         Where there is no such parameter.
     """
-    place = place_of(parameter, names_of(config))
-    key = None if place is None else key_at(place)
-    value = value_at(config, place or ()) if key is not None and key.quantity is not None else None
-    message = None if isinstance(value, int | float) else complaint(parameter, config)
-    if place is None or key is None or message is not None:
-        raise _refusal(parameter, message)
+    place, key = parameter_at(parameter, config)
+    value = value_at(config, place)
     return place, key, math.nan if value is None else float(value)
 
 
@@ -174,14 +178,7 @@ def quantity(parameter: str) -> Quantity:
     ConfigError
         Where there is no such parameter.
     """
-    place = place_of(parameter, {})
-    key = None if place is None else key_at(place)
-    if place is None or key is None or key.quantity is None:
-        raise _refusal(parameter)
+    place, key = parameter_at(parameter, {})
+    assert key.quantity is not None
     items = [step + 1 for step in place if isinstance(step, int)]
     return Quantity(key.quantity.name.format(*items), key.quantity.symbol.format(*items), key.quantity.unit)
-
-
-def _refusal(parameter: str, message: str | None = None) -> ConfigError:
-    message = message or "is no numeric key of a config"
-    return ConfigError(f"{parameter}: {message}", [Problem(parameter, None, message)])

@@ -14,11 +14,11 @@ import numpy as np
 from clunk.study.arrays import Floats
 from clunk.study.axes import variable_of
 from clunk.study.document import Place, dotted
-from clunk.study.errors import listing, shorten
+from clunk.study.errors import ConfigError, listing, shorten
 from clunk.study.keys import validated
 from clunk.study.loads import PROFILES, TORQUES, Load, uses
 from clunk.study.models import OF_IMPACTS, Config, FreeParameter, Part, part_of
-from clunk.study.parameters import complaint, drawn_numbers, located, with_values
+from clunk.study.parameters import drawn_numbers, located, with_values
 from clunk.study.sweeps import Draw
 from clunk.study.tables import Finding, misnamed
 
@@ -30,7 +30,7 @@ _TAKEN = {
     *("regimes", "label", "double_sided", "chatter", "nominal_label", "run", "impact", "lash"),
 }
 # Tables of what is swept, drawn, fitted and free, with how they are told
-_VARIED: tuple[tuple[tuple[str, str], str], ...] = (
+VARIED: tuple[tuple[tuple[str, str], str], ...] = (
     (("sweep", "axes"), "swept by"),
     (("sweep", "samples"), "drawn by"),
     (("sweep", "tolerances"), "drawn by"),
@@ -56,18 +56,19 @@ def _of_a_run(config: Config) -> Iterator[Finding]:
         yield from rule(config)
 
 
-def load_complaint(parameter: str, config: Config) -> str | None:
-    """Reason why a key of the load cannot be swept: its profile has none, or its torques are the other two."""
+def complaint(parameter: str, config: Config) -> str | None:
+    """Reason why a key cannot be swept; None where it can. Of the load, its profile must have it, in these torques."""
+    try:
+        located(config, parameter)
+    except ConfigError as error:
+        return str(error)
     table, _, key = parameter.partition("[")[0].partition(".")
     if table == "load" and not uses(config.load.profile, key):
         profiles = listing([shorten(profile) for profile in PROFILES if uses(profile, key)], "or")
         return f"{parameter} does not apply: the profile is {shorten(config.load.profile)}, and not {profiles}"
     for pair, other in (TORQUES, TORQUES[::-1]):
-        if parameter in {f"load.{key}" for key in pair} and getattr(config.load, other[0]) is not None:
-            return (
-                f"{parameter} does not apply: the load is given by {listing(other)}; give load.{pair[0]} and "
-                f"load.{pair[1]} instead, or sweep one of the former"
-            )
+        if table == "load" and key in pair and getattr(config.load, other[0]) is not None:
+            return f"{parameter} does not apply: the load is given by {listing(other)}, and not by {listing(pair)}"
     return None
 
 
@@ -198,14 +199,14 @@ def _measured(config: Config) -> Iterator[Finding]:
 def _varied(config: Config) -> Iterator[Finding]:
     """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
     swept: dict[str, dict[str, Place]] = {}
-    for table, verb in _VARIED:
+    for table, verb in VARIED:
         taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
         for k, entry in enumerate(getattr(getattr(config, table[0]), table[1], ())):
             at: Place = (*table, k)
             # a factor and an offset of a key act one after the other, in a fit on a value, too
             draws = getattr(entry, "draws", "value") if table != ("sweep", "samples") else "value"
             for parameter in getattr(entry, "keys", (entry.parameter,)):
-                text = complaint(parameter, config) or load_complaint(parameter, config)
+                text = complaint(parameter, config)
                 if text is None and table != ("sweep", "axes"):
                     text = _undrawable(parameter, entry, table, parameter in swept, config)
                 before = taken.setdefault(parameter, {})
