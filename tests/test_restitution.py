@@ -88,7 +88,7 @@ def test_momentum_and_the_velocity_ratio_hold_to_rounding_at_every_impact(name, 
         assert abs(np.sum(inertias[pair] * impulse[pair])) < 1e-15
 
 
-@pytest.mark.parametrize("e", [0.1, 0.3, 0.5, 0.7, 0.9, 0.95])
+@pytest.mark.parametrize("e", [0.15, 0.3, 0.5, 0.7, 0.9, 0.95])
 def test_a_bouncing_ball_bounces_when_the_textbook_says(e):
     """Constant torque, one inertia, lash to ground: after the first impact the n-th follows at 2v0/g (1-eⁿ)/(1-e)."""
     acceleration, half_gap = 5.0 / 0.5, np.deg2rad(30.0)
@@ -100,7 +100,8 @@ def test_a_bouncing_ball_bounces_when_the_textbook_says(e):
     n = np.arange(1, touches.size)
     expected = 2 * v0 / acceleration * (1 - e**n) / (1 - e)
     assert touches[1:] - touches[0] == pytest.approx(expected, rel=1e-9)
-    # it locks at the first rebound within 1e-4 of the fastest touch, all but that share of the way to the limit
+    # it locks at the first rebound within 1e-4 of the fastest touch, which no power of e is to rounding, and all but
+    # that share of the way to the limit
     assert touches.size == np.ceil(np.log(1e-4) / np.log(e))
     lock = run.events["time"][run.events["kind"] == LOCK]
     assert lock.size == 1

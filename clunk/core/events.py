@@ -1,9 +1,8 @@
 """What a run leaves behind: its events in order, each with what followed it.
 
 Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of each lash's
-acceleration over that phase are kept beside it, one-sided limits at both ends included, so that the peak-to-peak value
-of a primary impact's window is the extremes of the phases in it. (The exact method locates those that count there, and
-no others, each over its lash's window so far: the extremes of the last phase are those of the window.) Where there is
+acceleration over its window so far are kept beside it, one-sided limits at both ends included, so that the peak-to-peak
+value of a primary impact's window is the extremes of the phases in it. Where there is
 more than one element, a phase shorter than INSTANT has none: what happens at one time in several is written one after
 the other, and no state in between counts, in whichever order rounding puts them.
 """

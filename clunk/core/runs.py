@@ -30,8 +30,8 @@ class Log(NamedTuple):
     """Buffers for a run's events, of which event 0 is the load step, and for what goes with each; L lashes."""
 
     events: Records  # (capacity,) EVENT
-    # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]; by the exact method of
-    # all of its window so far, and nothing that is finite before the first primary impact
+    # (capacity, L, 2)  largest and smallest acceleration, up to the end of the phase that follows, of the window that
+    # the last touch opened, or an earlier one; nothing that is finite before the first primary impact  [rad/s2]
     extremes: FloatArray
     margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.margins; NaN by rk4
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept

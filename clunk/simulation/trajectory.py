@@ -32,8 +32,8 @@ class Trajectory:
     initial_sides : (L,) int64, sign of q = θi - ratio θj of each lash on its initial flank
     events : (E,) clunk.core.events.EVENT, times in s after the load step
     states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
-    extremes : (E, L, 2) float64, largest and smallest acceleration of each lash until the next event  [rad/s2]; by the
-        exact method in all of its window so far, and not finite before its first primary impact
+    extremes : (E, L, 2) float64, largest and smallest acceleration of each lash until the next event, from its last
+        touch or, by the exact method, its last primary impact on; not finite before the first  [rad/s2]
     phases : (P,) clunk.core.events.EVENT, the events and the changes of stage between them
     phase_states : (P, 2n) float64, θ and θ' at each of these
     primaries_of : indices of the primary impacts of each lash in `events`, (P,) int64

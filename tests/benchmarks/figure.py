@@ -52,12 +52,12 @@ def main(repeats: int, count: int) -> None:
 
 
 def timed(study, workers: int, early: bool) -> float:
-    """Seconds of one sweep; without `early` no regime counts as provable, so that each run goes to its end."""
+    """Seconds of one sweep; without `early` no flow bounds all that follows, so that each run goes to its end."""
     prepare = driveline.prepare
 
     def unproved(study, line=None):
         system, steps = prepare(study, line)
-        return system, steps._replace(provable=np.zeros_like(steps.provable))
+        return system, steps._replace(settles=np.zeros_like(steps.settles))
 
     if not early:
         driveline.prepare = unproved

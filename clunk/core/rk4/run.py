@@ -1,10 +1,12 @@
 """Fixed-step RK4 with zero-crossing bisection through the regimes of a switched linear system.
 
-On a linear regime a full step is one precomputed matrix product. It also yields each guard's value and a bound on how
-far the guard bends within the step; while that shows that no guard can turn negative, nothing else is done (`_coast`).
-Where it does not, and right after every event, the step is expanded into its quartics, zeros are located by bisection,
-and the rest of the step is finished in the successor regime, so that the time grid stays at multiples of the step.
-Where another piece of the load begins, a step is cut short, and the grid begins anew.
+On a linear regime a number of full steps is one precomputed matrix product. A stride of 64 is taken where the
+amplitudes of the modes bound how far guards and accelerations can be from their chords over it, and so show that no
+guard can turn negative, and no acceleration exceed its extremes (`_stride`). Else a block of four, whose product
+yields each guard's value at every step and a bound on how far it bends within the step (`_coast`). Where that does not
+show it either, and right after every event, a step is expanded into its quartics, zeros are located by bisection, and
+the rest of the step is finished in the successor regime, so that the time grid stays at multiples of the step. Where
+another piece of the load begins, a step is cut short, and the grid begins anew.
 """
 
 from typing import NamedTuple
@@ -12,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.core.arrays import FloatArray, StopFlag
+from clunk.core.events import TOUCH
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, frictions_of, lashes_of, turn_back
 from clunk.core.rk4 import quartic
-from clunk.core.rk4.propagator import BEND, BLOCK, Steps
+from clunk.core.rk4.propagator import BEND, BLOCK, STRIDE, Steps
 from clunk.core.rk4.step import Room, enter, expand, finish, first_event, widen_extremes
 from clunk.core.runs import (
     BEGIN,
@@ -41,6 +44,7 @@ _NON_FINITE = int(Status.NON_FINITE)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 _BETWEEN_LOOKS = 256  # full steps, at whether the run is settled, and at the stop flag
+_BEFORE_NEXT_STRIDE = 16  # steps, after one in doubt
 # A remainder of a step shorter than this share of it is merged with the next one: right after an event the guard grows
 # from zero, and needs some time to stand clear of rounding.
 _SHORTEST = 0.01
@@ -82,16 +86,24 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     piece, written = piece_at(load, 0, 0.0), entry.written
     rolled = begin_run(system, start, piece, inputs, log)
+    log.extremes[0, :, 0], log.extremes[0, :, 1] = (
+        np.inf,
+        -np.inf,
+    )  # nothing is asked of the acceleration before a touch
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         time = begin + index * grid.step + offset
         entry = recheck_frictions(Moment(system, time, x, inputs), log, entry)
         roll_states(system, rolled, log, written, entry.written)
+        _carry_extremes(log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)
         _combine(steps.transfer_input[flow], room.weighed, room.affine)
         _combine(steps.block_input[flow], room.weighed, room.block_affine)
+        _combine(steps.stride_input[flow], room.weighed, room.stride_affine)
+        _combine(steps.mode_input[flow], room.weighed, room.modes_affine)
+        _combine(steps.steady_sag[flow], room.weighed, room.steady_sag)
         extremes = log.extremes[entry.written - 1]
         while True:
             length, spanned = _next_length(grid, index, offset)
@@ -122,7 +134,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 if stop[0] != 0:
                     return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
-                    over = _is_settled(system, steps, entry.regime, start.regime, room, room.z, log, entry.written)
+                    over = _is_settled(system, steps, entry.regime, start.regime, room, log, entry.written)
             for k in range(x.size):
                 x[k] = room.z[k]
             if over:
@@ -155,6 +167,18 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             index, offset = index + 1, offset - grid.step
 
 
+@inlined_part
+def _carry_extremes(log: Log, first: int, written: int) -> None:
+    """Begin the phases of events that are no touch of a lash with its extremes so far: its window goes on in them."""
+    for k in range(first, written):
+        for lash in range(log.extremes.shape[1]):
+            if log.events[k].kind != TOUCH or log.events[k].lash != lash:
+                log.extremes[k, lash, 0], log.extremes[k, lash, 1] = (
+                    log.extremes[k - 1, lash, 0],
+                    log.extremes[k - 1, lash, 1],
+                )
+
+
 @part
 def _is_settled(
     system: System,
@@ -162,7 +186,6 @@ def _is_settled(
     regime: int,
     first_regime: int,
     room: Room,
-    x: FloatArray,
     log: Log,
     count: int,
 ) -> bool:
@@ -171,11 +194,11 @@ def _is_settled(
     Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever. That
     is proved for whole steps, and within them looked at in eight places. The first regime tells the initial flanks.
     """
-    flow = system.regimes[regime].flow
-    if steps.provable[flow] == 0:
+    flow, reach, primaries = system.regimes[regime].flow, room.reach, room.primaries
+    if steps.settles[flow] == 0:
         return False
-    reach, primaries = room.reach, room.primaries
-    _reach(steps, flow, room, x, reach)
+    reach[:] = 0.0
+    _reach(steps.mode_rows[flow], steps.mode_reach[flow], room)
     for guard in range(system.regimes[regime].guards):
         functional = system.guards[regime, guard].functional
         at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed)
@@ -196,26 +219,15 @@ def _is_settled(
     return True
 
 
-@part
-def _reach(steps: Steps, flow: int, room: Room, x: FloatArray, reach: FloatArray) -> None:
-    """How far each functional can get from its rest value from now on, into `reach`: its modes' amplitudes, summed."""
-    size, watched = steps.mode_reach.shape[2], steps.mode_reach.shape[1]
-    reach[:] = 0.0
-    for mode in range(size):
-        widest = 0.0
-        for functional in range(watched):
-            widest = max(widest, steps.mode_reach[flow, functional, mode])
-        if widest == 0.0:
-            continue  # the other one of a complex pair, or without effect on anything that is watched
-        total = 0j
-        for k in range(size):
-            away = x[k]
-            for j in range(room.weighed.size):
-                away -= steps.rest_state[flow, k, j] * room.weighed[j]
-            total += steps.mode_rows[flow, mode, k] * away
-        amplitude = np.sqrt(total.real * total.real + total.imag * total.imag)
-        for functional in range(watched):
-            reach[functional] += amplitude * steps.mode_reach[flow, functional, mode]
+@inlined_part
+def _reach(rows: FloatArray, by_mode: FloatArray, room: Room) -> None:
+    """Add to `room.reach` what each mode's present amplitude, of the state `room.z`, does to each functional."""
+    modes, reach = room.modes, room.reach
+    _advance(rows, room.modes_affine, room.z, modes)
+    for m in range(by_mode.shape[1]):
+        amplitude = np.sqrt(modes[m] ** 2 + modes[by_mode.shape[1] + m] ** 2)
+        for functional in range(by_mode.shape[0]):
+            reach[functional] += amplitude * by_mode[functional, m]
 
 
 @part
@@ -282,7 +294,8 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
     """Take up to `budget` full steps, and return how many: it stops before one in which a guard might turn negative.
 
     On a step, a guard is at least the smaller of its end values less its bend (see `propagator.BEND`); the same bounds
-    the acceleration's excess over its end values. Steps go by the block, and one by one where a block is in doubt.
+    the acceleration's excess over its end values. Steps go by the stride; by the block where a stride is in doubt, and
+    one by one where a block is.
 
     extremes : (L, 2) float64  [rad/s2]
         Of each lash's acceleration, updated.
@@ -291,7 +304,15 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
     transfer, block, z, after = steps.transfer[row.flow], steps.block[row.flow], room.z, room.after
     columns, outputs, lashes = transfer.shape[0], steps.observe.shape[2], lashes_of(system)
     taken = in_doubt = 0  # steps so far, and up to where they go one by one
+    no_stride = 0 if steps.strides[row.flow] != 0 else budget  # up to where they go by the block
     while taken < budget:
+        if no_stride <= taken <= budget - STRIDE:
+            if _stride(system, steps, regime, room, extremes):
+                for k in range(columns + outputs):
+                    z[k] = after[k]
+                taken += STRIDE
+                continue
+            no_stride = taken + _BEFORE_NEXT_STRIDE
         count = BLOCK if in_doubt <= taken <= budget - BLOCK else 1
         if count == BLOCK:
             _advance(block, room.block_affine, z, after)
@@ -312,6 +333,34 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
             z[columns + k] = after[last + k]
         taken += count
     return taken
+
+
+@inlined_part
+def _stride(system: System, steps: Steps, regime: int, room: Room, extremes: FloatArray) -> bool:
+    """Take a stride from `room.z` to `room.after`; return whether no guard turns negative and no extreme is in it."""
+    row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
+    columns, ramp, wave = steps.stride.shape[1], steps.ramp_sag[row.flow], 2 * system.inertias
+    for which in range(sag.size):
+        sag[which] = abs(room.steady_sag[which])
+        if ramp.shape[0] > 0:
+            steady = room.steady_sag[which] + ramp[0, which] * z[wave] + ramp[1, which] * z[wave + 1]
+            sag[which] = abs(steady) + abs(ramp[2, which] * z[wave + 1])
+    _reach(steps.mode_rows[row.flow], steps.mode_sag[row.flow], room)
+    for g in range(row.guards):
+        at = columns + room.at[g]
+        if not room.sign[g] * z[at] + room.shift[g] > sag[room.at[g] // 4]:
+            return False
+    _advance(steps.stride[row.flow], room.stride_affine, z, after)
+    for g in range(row.guards):
+        at = columns + room.at[g]
+        if not room.sign[g] * after[at] + room.shift[g] > sag[room.at[g] // 4]:
+            return False
+    for lash in range(lashes_of(system) if system.impulsive == 0 else 0):
+        which = lash * system.functionals_per_lash + ACCELERATION
+        a, b = z[columns + 4 * which], after[columns + 4 * which]
+        if not (max(a, b) + sag[which] <= extremes[lash, 0] and min(a, b) - sag[which] >= extremes[lash, 1]):
+            return False
+    return True
 
 
 @inlined_part

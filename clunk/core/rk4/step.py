@@ -31,16 +31,20 @@ class Room(NamedTuple):
     # full steps
     affine: FloatArray  # what the inputs add to a step
     block_affine: FloatArray  # and to a block of them
+    stride_affine: FloatArray  # and to a stride
+    modes_affine: FloatArray  # and to modal coordinates
+    steady_sag: FloatArray  # (F,)  of the steady motion over a stride
     z: FloatArray  # the state, padded, and its outputs
     after: FloatArray  # the same after a step or a block
-    # scratch of what tells that a run is over
+    # scratch of what bounds all that follows
+    modes: FloatArray  # (2 M,)  modal coordinates
     reach: FloatArray  # (F,)
     primaries: IntArray  # (capacity,)
 
 
 def make_room(system: System, steps: Steps, capacity: int) -> Room:
     """Room for runs of up to `capacity` events."""
-    width, of_block = steps.transfer.shape[2], steps.block.shape[2]
+    width, of_block, of_modes = steps.transfer.shape[2], steps.block.shape[2], steps.mode_rows.shape[2]
     most, driven = system.guards.shape[1], system.weights.shape[1]
     return Room(
         inputs=np.empty(driven),
@@ -52,8 +56,12 @@ def make_room(system: System, steps: Steps, capacity: int) -> Room:
         taylor=np.empty((5, system.lashes.shape[1])),
         affine=np.empty(width),
         block_affine=np.empty(of_block),
+        stride_affine=np.empty(width),
+        modes_affine=np.empty(of_modes),
+        steady_sag=np.empty(system.functionals.shape[1]),
         z=np.empty(width),
         after=np.zeros(of_block),
+        modes=np.empty(of_modes),
         reach=np.empty(system.functionals.shape[1]),
         primaries=np.empty(capacity, np.int64),
     )
