@@ -12,7 +12,6 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from clunk import plot as plot
-    from clunk.analysis.boundaries import BoundaryError as BoundaryError
     from clunk.analysis.comparison import Comparison as Comparison, compare as compare, verify as verify
     from clunk.analysis.fitted import Fitted as Fitted, fitted_study as fitted_study
     from clunk.analysis.fitting import fit as fit
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
 # Public name -> the module that it is in; `plot` is a module itself.
 _HOME = {
     "Boundaries": "results.boundaries",
-    "BoundaryError": "analysis.boundaries",
     "ClunkError": "study.errors",
     "ClunkWarning": "study.errors",
     "Comparison": "analysis.comparison",

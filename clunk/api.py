@@ -83,7 +83,7 @@ def sweep(
         Where the file cannot be written, or finished cells cannot be kept or taken up.
     EngineError
         Where the scheduler or its workers cannot start or go on; finished cells have been kept.
-    BoundaryError
+    ClunkError
         Where boundaries are asked for and the study's map has none that could be traced.
     KeyboardInterrupt
         Passed on after finished cells have been kept.

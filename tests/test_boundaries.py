@@ -13,12 +13,13 @@ from helpers.feet import feet_of_figure_3_4
 from helpers.studies import random_study
 
 import clunk
-from clunk.analysis.boundaries import BoundaryError, boundaries
+from clunk.analysis.boundaries import boundaries
 from clunk.analysis.lines import most_runs
 from clunk.analysis.network import Ring, _contains
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 
 ROOT = Path(__file__).parents[1]
 EXACT = "solver.method='exact'"
@@ -275,23 +276,23 @@ RATIO, LASH = axis("load.ratio", 2.0, 6.0, 3), axis("lash.backlash_deg", 2.0, 6.
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no .*sweep.axes"),
-        (axis("load.ratio", 2.0, 6.0, 3), "a map of two axes; .* clunk thresholds --along load.ratio"),
-        (RATIO + axis("lash.backlash_deg", 2.0, 2.0, 1), "lash.backlash_deg has one value"),
+        ("", "needs .*sweep.axes"),
+        (axis("load.ratio", 2.0, 6.0, 3), "a map of two axes, .* clunk thresholds --along load.ratio"),
+        (RATIO + axis("lash.backlash_deg", 2.0, 2.0, 1), "along lash.backlash_deg .* has one value"),
         (RATIO + LASH + axis("driveline.inertias[4]", 0.001, 0.002, 3), "the config has 3"),
         (RATIO + axis("impacts.acceleration_of", 1.0, 3.0, 3), "whole number"),
-        ('[sweep]\ndesign = "zip"\n' + RATIO + LASH, "walked together"),
+        ('[sweep]\ndesign = "zip"\n' + RATIO + LASH, "neither"),
         *(
             (
                 f'{RATIO}[[sweep.{table}]]\nparameter = "lash.backlash_deg"\ndistribution = "normal"\nstd = 0.1\n',
                 message,
             )
-            for table, message in (("samples", "samples have no neighbours"), ("tolerances", "tolerance map"))
+            for table, message in (("samples", "neither"), ("tolerances", "tolerance map"))
         ),
     ],
 )
 def test_what_has_no_boundaries_is_refused_in_a_sentence_before_anything_runs(text, message):
-    with pytest.raises(BoundaryError, match=message):
+    with pytest.raises(ClunkError, match=message):
         boundaries(study(text), None)
 
 

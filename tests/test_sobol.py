@@ -153,7 +153,6 @@ def test_the_restitution_model_has_an_approach_velocity():
     model = 'lash.contact.model="restitution"'
     found = sensitivity(study(DRIVING, model))
     assert [indices.quantity for indices in found.indices] == ["approach_velocity", "nominal_label"]
-    assert record(found)["nominal"]["severity"] is None
     with pytest.raises(ClunkError, match="not defined for the restitution model"):
         sensitivity(study(DRIVING, model), of=["severity"])
 
@@ -167,8 +166,8 @@ def test_the_restitution_model_has_an_approach_velocity():
             [],
             "lash.radius has two tolerances",
         ),
-        (study(DRIVING, count=100), [], "count = 100: .* take 64 or 128"),
-        (study(DRIVING, count=4), [], "count = 4: .* take 16 or 32"),
+        (study(DRIVING, count=100), [], "count = 100: .* a power of two"),
+        (study(DRIVING, count=4), [], "count = 4: .* 16 or more"),
         (study(DRIVING), ["sevrity"], "did you mean severity"),
         (study(DRIVING), ["label=DS"], "compares nothing"),
         # the run without tolerances has 18 events
@@ -217,7 +216,7 @@ def test_the_command_prints_tables_of_80_columns_and_draws_them(clunk_command, t
     code, out, err = clunk_command(config, "-o", "bars.png", "--of", "touches", "--of", "double_sided")
     assert code == 0
     assert max(map(len, (out + err).splitlines())) <= 80
-    assert re.search(r"lash\.contact\.stiffness, distribution normal", out)
+    assert re.search(r"label without tolerances +DS\(1\)SS\(1\)\n", out)
     assert re.search(r"double_sided\n +without tolerances +1\n +mean +1\n +standard deviation +0\n", out)
     assert (tmp_path / "bars.png").read_bytes().startswith(b"\x89PNG")
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from clunk.analysis.lines import Lines, Triangles
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
-from clunk.analysis.search import POINT, PointRuns
+from clunk.analysis.search import POINT, PointRuns, check_axis, grid_axes
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.status import Status
 from clunk.results.boundaries import (
@@ -29,10 +29,9 @@ from clunk.results.maps import AnyMap, Results
 from clunk.results.quantities import LABEL, OF_RUNS
 from clunk.study.arrays import Codes, Floats, Records
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import design_of, has_tolerances
+from clunk.study.designs import has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.models import lash_position
-from clunk.study.parameters import located
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.runner import Runner
@@ -44,50 +43,32 @@ _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
 
-class BoundaryError(ClunkError):
-    """A study whose map has no boundaries to trace; its text is one sentence for the user."""
-
-
 def require_boundaries(study: Study) -> None:
-    """Raise BoundaryError where a study's map has no boundaries between its cells that could be traced."""
-    swept, axes = study.sweep, design_of(study).axes
-    if swept is None or not axes:
-        raise BoundaryError("There are no boundaries to trace: the config has no [[sweep.axes]].")
+    """Raise ClunkError where a study's map has no boundaries between its cells that could be traced."""
+    axes = grid_axes(study, "Boundaries")
     if has_tolerances(study):
-        raise BoundaryError("A tolerance map has no boundaries: in its cells labels are probable, not certain.")
-    if swept.samples or swept.design == "zip":
-        reason = (
-            "samples have no neighbours" if swept.samples else 'axes that are walked together (design = "zip") do not'
+        raise ClunkError("A tolerance map has no boundaries: in its cells labels are probable, not certain.")
+    if len(axes) != 2:
+        raise ClunkError(
+            f"Boundaries are lines on a map of two axes, and the config has {len(axes)}; the values of one axis at "
+            f"which its label changes are found by clunk thresholds --along {axes[0].parameter}."
         )
-        raise BoundaryError(f"Boundaries are traced on a grid of axes; {reason}.")
-    if len(axes) == 1:
-        raise BoundaryError(
-            "Boundaries are lines on a map of two axes; the values of one axis at which its label changes are found by "
-            f"clunk thresholds --along {axes[0].parameter}."
-        )
-    if len(axes) > 2:
-        raise BoundaryError(f"Boundaries are traced on maps of two axes, and the config has {len(axes)}.")
     for axis in axes:
-        if len(axis.values) < 2:
-            raise BoundaryError(f"{axis.parameter} has one value; boundaries lie between two or more.")
-        if len(np.unique(axis.values)) < len(axis.values):
-            raise BoundaryError(f"{axis.parameter} has a value twice; boundaries lie between different ones.")
-        if located(study, axis.parameter)[1].whole:
-            raise BoundaryError(f"{axis.parameter} is a whole number, between whose values nothing lies.")
+        check_axis(study, axis, "boundaries")
 
 
 def is_traced(study: Study, asked: bool | None = None) -> bool:
     """Whether a sweep of a study traces the boundaries of its map.
 
     It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises
-    BoundaryError where they are asked for and the map has none.
+    ClunkError where they are asked for and the map has none.
     """
     if asked is None and study.sweep is not None:
         asked = study.sweep.boundaries
     try:
         if asked is not False:
             require_boundaries(study)
-    except BoundaryError:
+    except ClunkError:
         if asked:
             raise
         return False
@@ -118,7 +99,7 @@ def boundaries(
 
     Raises
     ------
-    BoundaryError
+    ClunkError
         Where the map has none, see `require_boundaries`.
     ConfigError
         Where there is no such lash.

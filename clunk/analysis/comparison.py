@@ -19,7 +19,9 @@ import numpy as np
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
+from clunk.results.netcdf import content_digest
 from clunk.results.quantities import REGIME_QUANTITIES
+from clunk.results.store import dataset_of
 from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import nominal
@@ -90,7 +92,7 @@ class Comparison(Record):
     codes_a, codes_b : shape, int: the label in `labels`, or -1 where the cell failed
     differs : shape, bool: cells that have two labels
     flagged : shape, bool: undecided or grazing in A or in B
-    identical : whether every array of the two is the same, bit for bit
+    identical : whether their files hold the same arrays, bit for bit
     configs_equal : whether the two digests are, that is everything that decides the results
     largest_differences : for each quantity that is defined somewhere
     config_differences : keys of the configs that differ, a title among them; None where one has no such key
@@ -168,7 +170,7 @@ def compare(a: Results, b: Results) -> Comparison:
     cells, differing, elsewhere = _count(compared), _count(differs), _count(differs & ~flagged)
     pairs, counts = np.unique(np.stack([codes_a[differs], codes_b[differs]]), axis=1, return_counts=True)
     transitions = zip(*pairs.tolist(), counts.tolist(), strict=True)
-    identical = _bits(a) == _bits(b)
+    identical = content_digest(dataset_of(a)) == content_digest(dataset_of(b))
     return Comparison(
         maps=(a, b),
         labels=labels,
@@ -299,13 +301,6 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
             over_largest=float(difference[k]) / largest if largest > 0.0 else 0.0,
             at=b.place(at),
         )
-
-
-def _bits(results: Results) -> list[Any]:
-    """All that a map holds, as bytes, in which NaN is equal to itself."""
-    arrays = {name: results.values(name) for name in results.quantities}
-    arrays |= {axis.parameter: axis.values for axis in results.parameters}
-    return [results.labels, {name: array.tobytes() for name, array in arrays.items()}]
 
 
 def _unlike(a: dict[str, Any], b: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -120,13 +120,11 @@ def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
 
 def _columns(cells: list[str], where: str) -> list[str]:
     """Names of the columns as they are in results files, "label" among them."""
-    if len(cells) == 1 and ";" in cells[0]:
-        raise ClunkError(f"{where}: columns must be separated by commas, and numbers written with points.")
     columns = [cell if _is_measured(cell) else variable_of(cell) for cell in cells]
-    if "label" not in columns:
-        raise ClunkError(f"{where}: there is no column named label.")
-    if all(map(_is_measured, columns)):
-        raise ClunkError(f"{where}: there is no column of a parameter, for example load_ratio.")
+    if "label" not in columns or all(map(_is_measured, columns)):
+        raise ClunkError(
+            f"{where}: there must be columns, separated by commas, of parameters, as load_ratio, and one named label."
+        )
     twice = [name for name, count in Counter(columns).items() if count > 1]
     if twice:
         raise ClunkError(f"{where}: there is more than one column {twice[0]}.")
@@ -211,23 +209,16 @@ class Trend(Record):
     """Change of the number of double-sided impacts along one parameter, from each point to its neighbour.
 
     parameter, symbol : of the axis
-    measured, computed : numbers of pairs of neighbours between which it rises, stays and falls, over the same pairs
-    alike : pairs in which both rise, both stay or both fall
+    pairs : number of pairs of neighbours that have computed labels
+    alike : pairs in which the measured and the computed number both rise, both stay or both fall
     opposed : pairs in which one rises and the other falls
     """
 
     parameter: str = told("along")
     symbol: str = told()
-    measured: tuple[int, ...] = told("measured")
-    computed: tuple[int, ...] = told("computed")
+    pairs: int = told("pairs")
     alike: int = told("alike")
     opposed: int = told("opposed")
-
-    @property
-    @tells("pairs")
-    def pairs(self) -> int:
-        """Number of pairs of neighbours that have computed labels."""
-        return sum(self.measured)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -241,19 +232,17 @@ class ExperimentComparison(Record):
     experiment : name of the file of the measurements
     counted : number of points with a computed label
     agreeing : number of points whose labels are the same
-    same_double_sided : number of counted points with the same number of double-sided impacts
     outside, failed : number of points outside the swept range, and of those whose nearest cell failed
     same_regimes : whether every point inside the swept range agrees; never if there is none
     """
 
     title: str = told()
     points: tuple[Point, ...] = told("measured points")
-    trends: tuple[Trend, ...] = told("double-sided impacts from a point to the next: pairs where they rise, stay, fall")
+    trends: tuple[Trend, ...] = told("rise and fall of double-sided impacts from a point to the next")
     caveat: str = told(SENTENCE)
     experiment: str = told()
     counted: int = told("points with a computed label", key="points_counted")
     agreeing: int = told("labels agree at", key="points_agreeing")
-    same_double_sided: int = told("double-sided impacts agree at", key="points_same_double_sided")
     outside: int = told("outside the swept range", key="points_outside")
     failed: int = told("nearest to a failed cell", key="points_failed")
     same_regimes: bool = told()
@@ -289,7 +278,6 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
         experiment=experiment.name,
         counted=len(inside),
         agreeing=agreeing,
-        same_double_sided=sum(double_sided(each.measured) == double_sided(str(each.computed)) for each in inside),
         outside=sum(point.computed is None for point in points),
         failed=failed,
         same_regimes=0 < len(inside) == agreeing and not failed,
@@ -326,12 +314,10 @@ def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
         if first.counts and second.counts
     ]
     measured, computed = np.sign(np.array(changes, int)).reshape(-1, 2).T
-    tallies = [tuple(int((signs == way).sum()) for way in (1, 0, -1)) for signs in (measured, computed)]
     return Trend(
         parameter=axis.parameter,
         symbol=axis.symbol,
-        measured=tallies[0],
-        computed=tallies[1],
+        pairs=len(changes),
         alike=int((measured == computed).sum()),
         opposed=int((measured * computed < 0).sum()),
     )

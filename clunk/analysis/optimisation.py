@@ -2,9 +2,8 @@
 
 The search is scipy's differential evolution, a generation of runs at a time, from several starts: each takes up the
 best of its half of the points of a space-filling exploration, since the regions of a label are thin and disconnected.
-Then each number in turn is scanned over its range, closing in on the best to 1e-9 of that.
 
-It ends by construction: generations, starts and scans are counted beforehand.
+It ends by construction: generations and starts are counted beforehand.
 """
 
 from __future__ import annotations
@@ -33,9 +32,7 @@ RELEASE_TIME = "release_time"  # s, from which on the load rests
 _STARTS = 4
 _EXPLORED = 1 << 15  # runs
 _POPULATION = 16  # candidates of a generation for each free number
-_GENERATIONS = 100  # of a start
-_SCANNED = 64  # values of a scan; the next closes in on two steps of it
-_SCANS = 6  # of each number, to (2 / 64) ** 6 of its range
+_GENERATIONS = 300  # of a start, at most
 _SAME = 1e-3  # by which the merits of starts that found the same differ
 _FRONT = 9  # optima of a trade-off
 
@@ -161,7 +158,7 @@ class Problem:
     @property
     def most(self) -> int:
         """The most runs that a search takes."""
-        candidates = _STARTS * self.low.size * (_POPULATION * (_GENERATIONS + 1) + _SCANS * _SCANNED)
+        candidates = _STARTS * self.low.size * _POPULATION * (_GENERATIONS + 1)
         return int(_EXPLORED + candidates * math.prod(self.shape))
 
     def __call__(self, candidates: Floats) -> Outcomes:
@@ -326,7 +323,7 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
     size = _POPULATION * problem.low.size
     half = rng.permutation(len(points))[: len(points) // 2]
     order = half[np.argsort(merits[half], kind="stable")]
-    best = differential_evolution(
+    result = differential_evolution(
         lambda columns: problem.merit(problem(columns.T)),
         list(zip(problem.low, problem.high, strict=True)),
         init=points[np.concatenate([order[: size // 2], rng.choice(order, size - size // 2)])],
@@ -336,17 +333,8 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
         updating="deferred",
         polish=False,
         seed=rng,
-    ).x
-    low, high = problem.low.copy(), problem.high.copy()
-    for _ in range(_SCANS):
-        for k in range(best.size):
-            values = np.linspace(low[k], high[k], _SCANNED - 1)
-            candidates = np.tile(best, (_SCANNED, 1))
-            candidates[1:, k] = values
-            best = candidates[np.argmin(problem.merit(problem(candidates)))]
-            step = values[1] - values[0]
-            low[k], high[k] = max(problem.low[k], best[k] - step), min(problem.high[k], best[k] + step)
-    return np.asarray(best)
+    )
+    return np.asarray(result.x)
 
 
 def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum:

@@ -29,7 +29,10 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
 from clunk.study.arrays import Bools, Codes, Floats
-from clunk.study.errors import ConfigError
+from clunk.study.axes import ResultAxis
+from clunk.study.designs import design_of
+from clunk.study.errors import ClunkError, ConfigError
+from clunk.study.parameters import located
 from clunk.study.rules import count_of_regimes
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress
@@ -52,6 +55,28 @@ _LOOKED = 64  # runs between two points that look for what is hidden, but for th
 _BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
 _BENT = 0.2  # times the bracket's width squared, by which a secant may be off
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
+
+
+# --- Axes along which is searched
+
+
+def grid_axes(study: Study, what: str) -> tuple[ResultAxis, ...]:
+    """Axes of a study's grid, between whose values thresholds or boundaries lie. Raises ClunkError where it is none."""
+    swept = study.sweep
+    if swept is None or not swept.axes or swept.samples or swept.design == "zip":
+        raise ClunkError(
+            f"{what} lie between the values of a grid: the config needs [[sweep.axes]], and neither [[sweep.samples]] "
+            'nor design = "zip".'
+        )
+    return design_of(study).axes
+
+
+def check_axis(study: Study, axis: ResultAxis, what: str) -> None:
+    """Raise ClunkError where nothing lies between the values of an axis."""
+    is_whole = located(study, axis.parameter)[1].whole
+    if is_whole or len(np.unique(axis.values)) < max(len(axis.values), 2):
+        lies = "is a whole number, between whose values nothing lies" if is_whole else "has one value, or one twice"
+        raise ClunkError(f"{what} along {axis.parameter} lie between two values or more, and it {lies}.")
 
 
 # --- Brackets

@@ -8,10 +8,8 @@ from B, n (d + 2) runs for d parameters (Saltelli et al. 2010, doi:10.1016/j.cpc
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -78,7 +76,7 @@ class Sensitivity(Record):
     parameters : (d,) str, dotted keys
     samples : int, n
     runs : int, n (d + 2)
-    nominal : label, severity and approach velocity of the run without tolerances
+    label : of the run without tolerances
     labels : each label's share of the 2 n runs of A and B, the most frequent first
     indices : of each quantity
     """
@@ -88,34 +86,14 @@ class Sensitivity(Record):
     indices: tuple[Indices, ...]
     samples: int = told("samples")
     runs: int = told("runs")
-    nominal: dict[str, Any] = told("without tolerances")
+    label: str = told("label without tolerances")
     labels: dict[str, float] = told("labels with tolerances", form=".2%")
-
-    @property
-    def label(self) -> str:
-        """The label of the run without tolerances."""
-        return str(self.nominal["label"])
 
     @property
     @tells()
     def title(self) -> str:
         """The study's title."""
         return self.study.title
-
-    @property
-    @tells()
-    def seed(self) -> int:
-        """Seed of the sample."""
-        return _sweep(self.study).sampling.seed
-
-    @property
-    @tells("tolerances", key="parameters")
-    def draws(self) -> list[dict[str, Any]]:
-        """The distribution of each parameter, with its nominal value."""
-        return [
-            draw.model_dump(exclude_none=True) | {"nominal": nominal_value(self.study, draw.parameter)}
-            for draw in _sweep(self.study).tolerances
-        ]
 
     @property
     @tells("of what the spread comes")
@@ -195,10 +173,9 @@ def sensitivity(
             "low and high."
         ) from None
     _refuse_failures(runs)
-    nominal = {"label": str(runs.label_map[-1])}
+    label = str(runs.label_map[-1])
     indices = tuple(
-        _indices(each.named(nominal["label"]), runs, parameters, (n, pages), _sweep(point).sampling.seed)
-        for each in quantities
+        _indices(each.named(label), runs, parameters, (n, pages), _sweep(point).sampling.seed) for each in quantities
     )
     base = runs.label_map[:-1].reshape(n, pages)[:, :2]
     labels, counts = np.unique(base, return_counts=True)
@@ -208,7 +185,7 @@ def sensitivity(
         parameters=parameters,
         samples=n,
         runs=sample.size // d,
-        nominal=nominal | {name: float(runs.values(name)[-1]) for name in ("severity", "approach_velocity")},
+        label=label,
         labels={str(labels[k]): float(counts[k] / base.size) for k in order},
         indices=indices,
     )
@@ -227,11 +204,7 @@ def operating_point(study: Study) -> Study:
         raise ClunkError(f"{twice} has two tolerances; Sobol indices are those of parameters with one each.")
     count = swept.sampling.count
     if count < _FEWEST or count & (count - 1):
-        power = max(_FEWEST, 2 ** math.floor(math.log2(count)))
-        raise ClunkError(
-            f"sweep.sampling.count = {count}: Sobol indices need a power of two, {_FEWEST} or more; take {power} or "
-            f"{2 * power}."
-        )
+        raise ClunkError(f"sweep.sampling.count = {count}: Sobol indices need a power of two, {_FEWEST} or more.")
     return study.model_copy(update={"sweep": swept.model_copy(update={"axes": (), "design": "grid"})})
 
 

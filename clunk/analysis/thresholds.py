@@ -36,6 +36,8 @@ from clunk.analysis.search import (
     Points,
     Word,
     brackets,
+    check_axis,
+    grid_axes,
     narrow,
     with_hidden,
 )
@@ -44,10 +46,9 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
-from clunk.study.parameters import drawn_numbers, located, with_draws
+from clunk.study.parameters import drawn_numbers, with_draws
 from clunk.study.records import as_text
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
@@ -136,43 +137,28 @@ class Thresholds:
         inner, codes = self.value[first:last].tolist(), self.above[first:last].tolist()
         return [*zip([ends[0], *inner], [*inner, ends[1]], [int(self.lowest[cell]), *codes], strict=True)]
 
-    def cells(self) -> list[dict[str, Any]]:
-        """Each cell as plain values, as JSON has them.
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each threshold: values of the other axes, its own, and the outcomes, by `below` and `above`.
 
-        In a cell are `at`, the values of the other axes by parameter; `lowest`, the outcome at the key's least value;
-        and `thresholds`, ascending, each with its `value` and the outcomes `below` and `above`.
+        Of a cell without any threshold, a row whose own value is None.
         """
-        plain = []
+        rows = []
         for cell, lowest in enumerate(self.lowest.tolist()):
             neighbours = pairwise(self.intervals(cell))
-            listed = [
-                {"value": value, "below": self.word(below), "above": self.word(above)}
-                for (*_, below), (value, _, above) in neighbours
-            ]
-            plain.append({"at": self.at(cell), "lowest": self.word(lowest), "thresholds": listed})
-        return plain
+            none: list[tuple[float | None, int, int]] = [(None, lowest, lowest)]
+            for value, below, above in [(end, below, above) for (*_, below), (end, _, above) in neighbours] or none:
+                sides = {"below": self.word(below), "above": self.word(above)}
+                rows.append(self.at(cell) | {self.along.parameter: value} | sides)
+        return rows
 
     def csv(self) -> str:
-        """Comma-separated values: a row for each threshold; of a cell without any, a row with no value."""
+        """Comma-separated values of `rows`."""
         text = io.StringIO()
-        rows = self.rows()
+        rows = [row | {side: word_text(row[side]) for side in ("below", "above")} for row in self.rows()]
         writer = csv.DictWriter(text, rows[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         return text.getvalue()
-
-    def rows(self) -> list[dict[str, Any]]:
-        """A row for each threshold: the other axes' values, its own and the outcomes on either side, in words.
-
-        Of a cell without any threshold, a row whose value is None.
-        """
-        rows = []
-        for cell in self.cells():
-            none = {"value": None, "below": cell["lowest"], "above": cell["lowest"]}
-            for each in cell["thresholds"] or [none]:
-                sides = {side: word_text(each[side]) for side in ("below", "above")}
-                rows.append(cell["at"] | {self.along.parameter: each["value"]} | sides)
-        return rows
 
     def where(self, word: Word, **at: float) -> list[tuple[float, float]]:
         """Intervals of the key in which the outcome is this one, in the cell nearest to these values.
@@ -308,27 +294,18 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
 
     Raises ClunkError where there are no thresholds along the key.
     """
-    axes, swept = design_of(study).axes, study.sweep
-    if swept is None or not swept.axes:
-        raise ClunkError(f"{along} is no axis: the config has no [[sweep.axes]], which say where to look.")
-    if swept.design == "zip":
-        raise ClunkError('The axes are walked together (design = "zip"); thresholds need a grid.')
-    if swept.samples:
-        raise ClunkError("The config has [[sweep.samples]]; thresholds need a grid of axes, or [[sweep.tolerances]].")
+    axes = grid_axes(study, "Thresholds")
     names = [axis.parameter for axis in axes]
     if along not in names:
         likely = nearest(along, names)
         hint = f"; did you mean {likely}?" if likely else "."
         raise ClunkError(f"{shorten(along)} is no axis of the config; its axes are {listing(names)}{hint}")
     axis = axes[names.index(along)]
-    if located(study, along)[1].whole:
-        raise ClunkError(f"{along} is a whole number, between whose values nothing lies.")
-    if len(axis.values) < 2:
-        raise ClunkError(f"{along} has one value; thresholds lie between two or more.")
-    ascending = ResultAxis(along, np.sort(axis.values), axis.name, axis.symbol, axis.unit)
-    draws = np.arange(1.0, swept.sampling.count + 1.0)
-    drawn = (ResultAxis(DRAW, draws, "number of the draw", "", "1"),) if swept.tolerances else ()
-    return ascending, drawn + tuple(each for each in axes if each is not axis)
+    check_axis(study, axis, "thresholds")
+    assert study.sweep is not None  # its axes are part of it
+    draws = np.arange(1.0, study.sweep.sampling.count + 1.0)
+    drawn = (ResultAxis(DRAW, draws, "number of the draw", "", "1"),) if study.sweep.tolerances else ()
+    return replace(axis, values=np.sort(axis.values)), drawn + tuple(each for each in axes if each is not axis)
 
 
 QUANTILE = "quantile"  # the axis in the place of `draw`
@@ -336,14 +313,11 @@ QUANTILE = "quantile"  # the axis in the place of `draw`
 
 def check_quantiles(quantiles: Sequence[float]) -> None:
     """Raise ClunkError where quantiles are not such as `threshold_quantiles` takes."""
-    for quantile in quantiles:
-        if not 0.5 <= quantile <= 1.0:
-            raise ClunkError(
-                f"{quantile:g} is no quantile here: it is the share of the draws that have the same outcome, from 0.5 "
-                "to 1."
-            )
-    if len(set(quantiles)) < max(len(quantiles), 1):
-        raise ClunkError("A quantile is named twice." if quantiles else "There is no quantile.")
+    if not quantiles or len(set(quantiles)) < len(quantiles) or not all(0.5 <= each <= 1.0 for each in quantiles):
+        raise ClunkError(
+            "Quantiles are different shares of the draws that have the same outcome, from 0.5 to 1; found "
+            f"{listing([f'{each:g}' for each in quantiles]) or 'none'}."
+        )
 
 
 def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.5, 0.95)) -> Thresholds:

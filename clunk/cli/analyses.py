@@ -292,7 +292,7 @@ def thresholds(
     located = analysis.thresholds(study, along=along, of=outcome, progress=True, **options)
     result = threshold_quantiles(located, shares) if is_toleranced else located
     if as_json:
-        tables.print_record(result.cells())
+        tables.print_record(result.rows())
     else:
         print_thresholds(result)
     cells = "drawn cell" if is_toleranced else "cell"
@@ -307,7 +307,7 @@ def thresholds(
         terminal.save_picture(figure, output)
     elif output is not None:
         is_csv = output.suffix.lower() == ".csv"
-        text = result.csv() if is_csv else json.dumps(result.cells(), ensure_ascii=False) + "\n"
+        text = result.csv() if is_csv else json.dumps(result.rows(), ensure_ascii=False) + "\n"
         write_text(output, text)
         terminal.say_written(output)
     if places := located.unresolved:
@@ -332,10 +332,6 @@ def print_thresholds(result: Thresholds) -> None:
     what = f"{'whether ' if result.outcome.type == YES_NO else ''}{result.outcome.heading_with_unit}"
     what += f" of {result.lash}" if result.lash else ""
     click.echo(fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
-    if not result.value.size:
-        words = " or ".join(sorted({row["below"] for row in result.rows()}))
-        click.echo(f"none, it never changes along {along.parameter}: {words}")
-        return
     rows = result.rows()
     for row in rows:
         value = row[along.parameter]

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clunk.analysis.boundaries import BoundaryError, with_boundaries
+from clunk.analysis.boundaries import with_boundaries
 from clunk.plot.plane import parted_axes
 from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
@@ -111,9 +111,9 @@ class Subject:
             def count(runs: int, total: int) -> None:
                 progress(runs, total)
                 if runs > _MOST_RUNS:
-                    raise BoundaryError("The boundaries of this map take too many runs to follow a slider.")
+                    raise ClunkError("The boundaries of this map take too many runs to follow a slider.")
 
-            with suppress(BoundaryError):
+            with suppress(ClunkError):
                 yield with_boundaries(study, full, lash=lash if full.lashes else None, progress=count)
 
     @property
