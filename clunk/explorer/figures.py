@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
@@ -40,7 +40,6 @@ _PIXELS = 640  # of an image, across and upward
 _SKIP = 4  # of the image, between the pixels among which names are placed
 _WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a name takes
 _SHADES = 256
-_LISTED = 16  # edges of a strip's bands
 _COLUMNS = 800  # spans of time that a screen tells apart
 _BESIDE = 72, 32  # pixels left and right of all panels, so that their time axes lie under each other
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
@@ -114,7 +113,7 @@ class MapFigure:
         if len(axes) > 1:
             plot.image_rgba("image", "x", "y", "dw", "dh", source=sources["image"])
             self.models["boundaries"] = plot.line("x", "y", source=sources["lines"], color=INK, line_width=0.9).glyph
-            plot.scatter("x", "y", source=sources["points"], size=2.5, color=INK)
+            plot.scatter("x", "y", source=sources["points"], size=8, color=INK, alpha=0.1, line_color=None)
             plot.text("x", "y", "text", source=sources["names"], text_align="center", **text)
             for border in ({"line_width": 6.0, "line_color": "white"}, {}):
                 plot.scatter("x", "y", size=13, fill_alpha=0.0, **ring | border)
@@ -136,14 +135,12 @@ class MapFigure:
         if len(self._axes) > 1:
             return self._map_changes(layers)
         edges, codes = layers.bands
-        inner = [f"{edge:.4g}" for edge in edges[1:-1].tolist()]
-        notes = [f"label changes: {', '.join(inner)}"] if 0 < len(inner) <= _LISTED else []
         colours = [(*layers.colours, FAILED_FILL)[code] for code in codes]
         return {
             "bands": {"data": {"x0": edges[:-1], "x1": edges[1:], "colour": colours}},
             "points": {"data": {"x": layers.view.x.values, "y": layers.values}},
             "y axis": {"axis_label": layers.value_label},
-            "legend": {"text": _legend(layers, notes)},
+            "legend": {"text": _legend(layers)},
         }
 
     def _map_changes(self, layers: Layers) -> Changes:
@@ -168,7 +165,7 @@ class MapFigure:
             "names": _columns("text x y", names),
             "boundaries": {"line_color": "white" if layers.shaded and layers.has_light_lines else INK},
             "bar": {"visible": layers.shaded, "title": layers.value_label},
-            "legend": {"text": _legend(layers, [])},
+            "legend": {"text": _legend(layers)},
         }
         if shades is not None:
             (bottom, top), colours = shades.get_clim(), shades.get_cmap()(np.linspace(0.0, 1.0, _SHADES))
@@ -202,11 +199,8 @@ def title_of(name: str, symbol: str, unit: str) -> str:
     return " ".join(part for part in (name, bare(symbol), f"[{unit}]" if unit not in ("", "1") else "") if part)
 
 
-def _legend(layers: Layers, notes: Iterable[str]) -> str:
-    """Regions that are large enough to be seen, with their colours and shares of the map, notes, and the largest value.
-
-    That of a quantity comes with its cell.
-    """
+def _legend(layers: Layers) -> str:
+    """Regions that are large enough to be seen, with their colours and shares of the map, and the largest value."""
     square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>&nbsp;'
     entries = []
     for note in layers.legend(layers.seen):
@@ -215,8 +209,8 @@ def _legend(layers: Layers, notes: Iterable[str]) -> str:
     if layers.values.size and (layers.quantity.type != YES_NO or layers.shaded):
         at = np.unravel_index(int(np.nanargmax(layers.values)), layers.values.shape)
         place = (value_text(axis, axis.values[k], symbol=True) for axis, k in zip(layers.view.axes, at, strict=True))
-        notes = [*notes, f"largest: {layers.values[at]:.6g} at {', '.join(place)}"]
-    return " &nbsp; ".join([*entries, *map(escape, notes)])
+        entries.append(escape(f"largest: {layers.values[at]:.6g} at {', '.join(place)}"))
+    return " &nbsp; ".join(entries)
 
 
 def _names(regions: Codes, layers: Layers, x: Floats, y: Floats) -> list[tuple[str, float, float]]:
@@ -269,11 +263,12 @@ class RunFigures:
     Curves are thinned anew for what the time axis shows.
 
     load_step : its time  [s]
+    models : the rest of the page's, by name
     header, compared, events : texts above and below the figures
-    message : carries what changes
+    message : carries what changes, of the figures and of the rest
     """
 
-    def __init__(self, load_step: float) -> None:
+    def __init__(self, load_step: float, models: Mapping[str, Model]) -> None:
         self._load_step = load_step
         self.header = Div(name="header", height=62, styles={"overflow": "hidden", "flex": "none"}, **WIDE)
         self.compared = Div(name="compared", styles={"flex": "none"}, **WIDE)
@@ -299,11 +294,10 @@ class RunFigures:
         acceleration.text("x", "high", "text", source=arrows, **above, **_TEXT)
         for name in ("start", "end"):
             self._time.on_change(name, self._on_zoom)
-        models = {"time": self._time, "gap": gap, "curves": self._curves, "flanks": flanks, "touches": touches}
-        models |= {name: panel.y_range for name, panel in self.figures.items()}
-        models |= {"arrows": arrows, "header": self.header, "compared": self.compared, "events": self.events}
-        self.message = Message(models)
-        lash.tags = [self.message.source]  # a part of the page that is not drawn
+        own: dict[str, Model] = {"time": self._time, "gap": gap, "curves": self._curves, "arrows": arrows}
+        own |= {"flanks": flanks, "touches": touches, **{name: each.y_range for name, each in self.figures.items()}}
+        own |= {"header": self.header, "compared": self.compared, "events": self.events}
+        self.message = Message({**models, **own})
 
     def _figure(self, panel: _Panel) -> Any:
         around: dict[str, Any] = dict(zip(("min_border_left", "min_border_right"), _BESIDE, strict=True))
@@ -362,14 +356,13 @@ class RunFigures:
             "compared": {"text": "<br>".join(lines)},
             "events": {"text": html_table([*events, ending], headings)},
         }
-        self.message.send({**changes, **self._marks(), **self._drawn()})
+        self.message.send({**changes, **self._drawn()})
 
     def refuse(self, text: str) -> None:
         """Show no run, and why."""
         self._runs = []
         texts: Changes = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
-        empty = {"flanks": _columns(_FLANKS, []), "touches": _columns(_TOUCHES, [])}
-        self.message.send({**texts, **empty, **self._drawn()})
+        self.message.send({**texts, **self._drawn()})
 
     def _see(self, span: tuple[float, float]) -> Changes:
         """Let the time axis begin and end at these times."""
@@ -381,38 +374,36 @@ class RunFigures:
         self.message.send(self._drawn())
 
     def _drawn(self) -> Changes:
-        """The curves of all runs, and an arrow for each Q_i of the one that is shown, within what is seen."""
+        """The curves of all runs within what is seen, and flanks, touches and each Q_i of the one that is shown."""
         begin, end = self._span
+        flanks: list[tuple[Any, ...]] = []
+        touches: list[tuple[Any, ...]] = []
+        arrows: list[tuple[Any, ...]] = []
+        for run in self._runs[:1]:
+            flanks = [(begin, y, name, "top" if y > 0.0 else "bottom") for y, name in flank_names([run]).items()]
+            for row, side, primary in zip(*run.touches[:3], strict=True):
+                place = run.time[row], 1e3 * run.backlash_coordinate[row]
+                look = (RUN_COLOURS[0], 10) if primary else ("white", 6)
+                touches.append((*place, 0.0 if side > 0 else np.pi, RUN_COLOURS[0], *look))
+            for each in measured_impacts(run):
+                x = each.begin + 0.012 * (end - begin)
+                arrows.append((x, each.smallest, each.largest, f"Q{each.number}"))
+        touches.sort(key=lambda touch: touch[-1])  # primary ones on top
+        changes: Changes = {"flanks": _columns(_FLANKS, flanks), "touches": _columns(_TOUCHES, touches)}
+        changes["arrows"] = _columns(_ARROWS, arrows)
         shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
         data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
-        changes: Changes = {}
         for panel in _PANELS:
             curves = [thinned(run.time, panel.values(run), begin, end, _COLUMNS) for run, _ in shown]
             data[f"{panel.name}_x"], data[f"{panel.name}_y"] = [x for x, _ in curves], [y for _, y in curves]
             if shown:  # else the browser finds the range and tells the server, some 4 ms for each panel
-                flanks = [*flank_names(self._runs[:1])] if panel.name == "lash" else []
-                heights = np.concatenate([flanks, *(y for _, y in curves)])
+                heights = np.concatenate([y for _, y in curves])
+                if panel.name == "lash":
+                    heights = np.append(heights, [y for _, y, *_ in flanks])
                 low, high = float(heights.min()), float(heights.max())
                 around = 0.5 * panel.padding * (high - low) or 1.0
                 changes[panel.name] = {"start": low - around, "end": high + around}
-        arrows = [
-            (each.begin + 0.012 * (end - begin), each.smallest, each.largest, f"Q{each.number}")
-            for run in self._runs[:1]
-            for each in measured_impacts(run)
-        ]
-        return {"curves": {"data": data}, "arrows": _columns(_ARROWS, arrows), **changes}
-
-    def _marks(self) -> Changes:
-        """Flanks and touches of the run that is shown."""
-        run, begin = self._runs[0], self._whole[0]
-        flanks = [(begin, y, name, "top" if y > 0.0 else "bottom") for y, name in flank_names([run]).items()]
-        touches = []
-        for row, side, primary in zip(*run.touches[:3], strict=True):
-            place = run.time[row], 1e3 * run.backlash_coordinate[row]
-            look = (RUN_COLOURS[0], 10) if primary else ("white", 6)
-            touches.append((*place, 0.0 if side > 0 else np.pi, RUN_COLOURS[0], *look))
-        touches.sort(key=lambda touch: touch[-1])  # primary ones on top
-        return {"flanks": _columns(_FLANKS, flanks), "touches": _columns(_TOUCHES, touches)}
+        return {"curves": {"data": data}, **changes}
 
 
 # Columns of sources.

@@ -18,7 +18,7 @@ from bokeh.events import ConnectionLost, DocumentReady, DoubleTap, MouseLeave, M
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Model, Pane, Select, UIElement
 
 from clunk.explorer.controls import Controls
-from clunk.explorer.figures import RUN_COLOURS, WIDE, Cell, Changes, MapFigure, Message, RunFigures, Shown
+from clunk.explorer.figures import RUN_COLOURS, WIDE, Cell, Changes, MapFigure, RunFigures, Shown
 from clunk.explorer.newest import GoOn, Newest
 from clunk.explorer.subject import Subject, position
 from clunk.plot.layers import hardness
@@ -33,7 +33,7 @@ from clunk.sweeping.cells import compiling_note, warm_up
 _CLICKS = (Tap, DoubleTap, Press)  # quick ones, wherever they are, and slow ones are other events to Bokeh
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
-_HELP = "   ·   click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow the pointer"
+_HELP = "   ·   click: keep a run · p: pin it · u: unpin · arrows: next cell · f: follow the pointer"
 _HELP_WITHOUT_MAP = "   ·   p: pin this run · u: unpin"
 _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
 
@@ -69,7 +69,8 @@ window.addEventListener("keydown", (event) => {
   if (["INPUT", "SELECT", "TEXTAREA"].includes(target.tagName) || target.closest?.(".noUi-target")) return;
   if (!known.includes(event.key) || event.ctrlKey || event.metaKey || event.altKey) return;
   event.preventDefault();
-  keys.data = {key: [event.key], steps: [event.shiftKey ? 10 : 1]};
+  // with its time, or a key that is pressed again would be no change, of which nobody is told
+  keys.data = {key: [event.key], steps: [event.shiftKey ? 10 : 1], time: [event.timeStamp]};
 });
 """
 
@@ -89,7 +90,6 @@ class Workbench:
         self._hovered: Cell | None = None
         self._run: Shown | None = None
         self._pins: list[Shown] = []
-        self._pins_next = False
         self._requested_map: tuple[Any, ...] | None = None
 
         results = subject.results
@@ -100,14 +100,14 @@ class Workbench:
         self._quantity = Select(value=first, options=described, name="quantity", visible=bool(subject.plane), width=260)
         lashes = list(zip(names, names, strict=True))
         self._lash = Select(value=names[0], options=lashes, name="of lash", visible=bool(results.lashes), width=260)
+        models: dict[str, Model] = self._map.models if self._map else {}
         one_line = {"color": FAINT_INK, "flex": "none", "overflow": "hidden", "white-space": "nowrap"}
         self._status = Div(text="…", name="status", render_as_text=True, height=20, styles=one_line, **WIDE)
-        self._figures = RunFigures(subject.study.load.step_time)
+        self._figures = RunFigures(subject.study.load.step_time, {"status": self._status, **models})
+        self._message = self._figures.message
         self._keys = ColumnDataSource(data={"key": [], "steps": []})
         self._link = ColumnDataSource(data={})
         self._download = ColumnDataSource(data={}, name="download")
-        models: dict[str, Model] = {"status": self._status}
-        self._message = Message(models | (self._map.models if self._map else {}))
 
         self._newest_run = Newest("run", self._complain_soon)
         self._newest_map = Newest("map", self._complain_soon)
@@ -185,7 +185,6 @@ class Workbench:
         cell = None if isinstance(event, MouseLeave) else self._map.nearest(event.x, event.y)
         if isinstance(event, _CLICKS):
             if cell is not None:
-                self._pins_next = bool((event.modifiers or {}).get("shift"))
                 self._select(cell)
         else:
             self._hover(cell if self._follows else None)
@@ -206,7 +205,6 @@ class Workbench:
     def _select(self, cell: Cell) -> None:
         self._controls.set(self._values(cell))
         self._on_change()
-        self._pin_where_wanted()
 
     def _on_change(self) -> None:
         self._hovered = None
@@ -288,13 +286,6 @@ class Workbench:
         # with the run: before, the browser would draw the map, and take that much later what the run sends
         self._mark()
         self._keep_link()
-        self._pin_where_wanted()
-
-    def _pin_where_wanted(self) -> None:
-        """Pin the run of a shift-click once it is there."""
-        if self._pins_next and self._run is not None and self._run.cell == self._cell:
-            self._pins_next = False
-            self._pin_run()
 
     def _show_runs(self) -> None:
         if self._run is not None:
