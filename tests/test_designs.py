@@ -210,8 +210,6 @@ class TestCommandLine:
             (["four.h5", "--at", "load.ration=1"], "must be KEY=VALUE of what is swept: load.ratio: "),
             (["four.h5", "--at", "load.ratio=11"], "swept: load.ratio: 0 to 10"),
             (["zip.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
-            (["sample.h5", "--y", "run"], "y goes with x"),
-            (["sample.h5", "--x", "load.ratio", "--y", "load.ratio"], "are both load.ratio"),
             (["sample.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
             (["sample.h5", "--facet", "run"], "needs two axes"),
             (["sample.h5", "--at", "load.ratio=5"], "must be KEY=VALUE of what is swept: run: 1 to 32"),

@@ -17,7 +17,7 @@ from clunk.cli.options import PATH, at_option, nearest_values
 def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     """Write a page of HTML on a results file.
 
-    It has the maps, thresholds, config, versions and digests of FILE. It is one file, which asks for no other. Of three
+    It has the maps, numbers, config, versions and digests of FILE. It is one file, which asks for no other. Of three
     or four axes it has a map for each value of the further ones, or a slice by --at.
 
     Example: clunk report results/figure_3_4.h5 -o report.html

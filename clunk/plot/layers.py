@@ -149,8 +149,9 @@ class Layers:
             fact = f"{'whether' if described.type == YES_NO else 'numbers:'} {described.heading}"
             return layers._regrouped(np.array(of_labels) if by_label else whole, layers._looks_of(whole), fact)
         if not view.places:
-            lines = f"{'light' if layers.has_light_lines else 'dark'} lines: boundaries of the "
-            layers = replace(layers, facts=(draws, lines + ("most likely regimes" if draws else "regimes")))
+            layers = replace(
+                layers, facts=(draws, f"lines: boundaries of the {'most likely ' if draws else ''}regimes")
+            )
         return replace(layers._grouped(most), shaded=True, undecided=np.zeros_like(undecided))
 
     def _grouped(self, most: int) -> Layers:
@@ -250,7 +251,7 @@ class Layers:
         return [name for name, share in zip(self.names, self.shares, strict=False) if share >= _SEEN]
 
     def legend(self, names: Sequence[str], *, is_counted: bool = True) -> list[Note]:
-        """Notes on regions of these names, on cells that failed, have no value or are dotted, and the map's own.
+        """Notes on regions of these names, on cells that failed, have no value or are blurred, and the map's own.
 
         is_counted : whether they say how much of the map it is
         """
@@ -267,9 +268,9 @@ class Layers:
             why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
             notes.append(Note(why, UNDEFINED))
         if undecided := int(np.count_nonzero(self.undecided)):
-            notes.append(Note(text("• undecided", counted(undecided, "cell")), ""))
+            notes.append(Note(text("blurred, undecided", counted(undecided, "cell")), ""))
         if len(self.unresolved):
-            notes.append(Note(text("• lines unresolved", counted(len(self.unresolved), "place")), ""))
+            notes.append(Note(text("blurred, lines unresolved", counted(len(self.unresolved), "place")), ""))
         return [*notes, *self.notes]
 
     @property
@@ -321,13 +322,10 @@ class Layers:
             draw.polygon(np.column_stack(pixels).ravel().tolist(), fill=code)
         return np.asarray(image).astype(np.int16)
 
-    def subtitle(self, *facts: str, fixed: Sequence[ResultAxis] | None = None) -> str:
-        """The load, the values of fixed parameters, further facts and the map's caveats.
-
-        fixed : by default the axes that are not drawn
-        """
-        values = [value_text(axis, axis.values[0]) for axis in (self.view.fixed if fixed is None else fixed)]
-        return "; ".join(filter(None, [self.load, *values, *facts, *self.facts, *self.caveats]))
+    def subtitle(self, fixed: Sequence[ResultAxis]) -> str:
+        """The load, the values of parameters that are fixed, facts and the map's caveats."""
+        values = [value_text(axis, axis.values[0]) for axis in fixed]
+        return "; ".join(filter(None, [self.load, *values, *self.facts, *self.caveats]))
 
 
 def hardness(drawn: AnyMap) -> str:
@@ -348,9 +346,10 @@ def _load_phrase(drawn: AnyMap) -> str:
 
 def _lines_between(codes: Codes, x: Floats, y: Floats) -> list[Floats]:
     """The edges (2, 2) between cells of different regions; none where there are too many."""
-    i, j = np.nonzero(codes[1:] != codes[:-1])
-    upright = np.stack([x[[i + 1, i + 1]], y[[j, j + 1]]], axis=-1)
-    i, j = np.nonzero(codes[:, 1:] != codes[:, :-1])
-    level = np.stack([x[[i, i + 1]], y[[j + 1, j + 1]]], axis=-1)
-    lines = np.concatenate([upright, level], axis=1)
+
+    def upright(codes: Codes, x: Floats, y: Floats) -> Floats:
+        i, j = np.nonzero(codes[1:] != codes[:-1])
+        return np.stack([x[[i + 1, i + 1]], y[[j, j + 1]]], axis=-1)
+
+    lines = np.concatenate([upright(codes, x, y), upright(codes.T, y, x)[..., ::-1]], axis=1)
     return list(lines.swapaxes(0, 1)) if lines.shape[1] <= _MOST_STEPS else []

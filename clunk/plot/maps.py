@@ -16,11 +16,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
-from matplotlib.patheffects import withStroke
 
-from clunk.analysis.marks import ridge_of
 from clunk.plot.labelling import Raster, write_beside, write_names
-from clunk.plot.layers import MOST_LABELS, Layers, hardness
+from clunk.plot.layers import MOST_LABELS, Layers, Note, hardness
 from clunk.plot.plane import (
     View,
     cell_edges,
@@ -44,7 +42,6 @@ from clunk.plot.style import (
     Look,
     PlotError,
     add_notes,
-    bare,
     lay_out,
     new_figure,
     new_panels,
@@ -56,7 +53,7 @@ from clunk.plot.style import (
 )
 from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
-from clunk.results.quantities import NUMBER, WHOLE, YES_NO, quantity_of
+from clunk.results.quantities import WHOLE, YES_NO, quantity_of
 from clunk.study.arrays import Floats
 
 _POINT = 6.5  # points, diameter of a measured point
@@ -67,14 +64,11 @@ _POINT_LOOKS: dict[bool, tuple[str, Look]] = {  # of points that agree, and that
 # Points: of names, tried in turn, and of measured labels; of a panel of several, and of a single map.
 _SIZES = ((8.5, 7.5, 6.5), 6.5), ((10.5, 9.5, 8.5, 8.0), 8.0)
 MOST_VALUES = (12, 4)  # of one facet, of each of two
-_DOUBT: Look = {"linestyle": "none", "marker": "o", "color": INK, "alpha": 0.45, "markeredgewidth": 0.0}
-_MAP = 330.0  # points, width of a map
+_DOUBT: Look = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markeredgewidth": 0.0, "alpha": 0.1}
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
 _VANISHING = 0.02  # of the backlash axis, within which it has to begin at zero to show where backlash vanishes
 _NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
 _AROUND = (0.9, 1.3)  # inches, for their axes and titles
-_WITHOUT_RIDGE = ("margin", "last_event_time")
-_LONG = 0.5  # of the map's width, that a ridge has at least
 
 
 def draw(
@@ -130,8 +124,6 @@ def map_figure(
 ) -> Figure:
     """Maps over the same axes with the same colours: named regions (Figure 3.4), a quantity (Figure 3.7), or points.
 
-    Of how hard impacts are a single map also has the ridge: the backlash at which it is worst for each load ratio.
-
     names : of the panels, if there are several
     line : under the title, by default the subtitle of the only map
     columns : of panels, by default by their number
@@ -155,15 +147,12 @@ def map_figure(
         figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=first.value_label, ticks=ticks)
     for ax, layers in zip(axes, panels, strict=True):
         _paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
-    lay_out(figure, axes[0], first.title, line or first.subtitle())
+    lay_out(figure, axes[0], first.title, line or first.subtitle(first.view.fixed))
     notes: list[Artist] = []
     for ax, layers in zip(axes, panels, strict=True):
         notes += _write_on_map(ax, layers, is_single=is_single)
-    is_map = is_single and not first.places
-    if is_map and shades is None:
+    if is_single and not first.places and shades is None:
         _mark_thresholds(axes[0], first, thresholds)
-    elif is_map and first.quantity.type == NUMBER and first.quantity.name not in _WITHOUT_RIDGE:
-        _draw_ridge(axes[0], first)
     for ax in axes:
         notes += ax.get_legend_handles_labels()[0]
     add_notes(figure, [*{str(note.get_label()): note for note in notes}.values()])
@@ -199,8 +188,8 @@ def facet_map(
     counts = [
         f"{axis.name}: {len(shown)} of {len(axis.values)} values" for axis, shown in zip(axes, values, strict=True)
     ]
-    layers = replace(panels[0], caveats=tuple(results.caveats))
-    line = layers.subtitle(*counts, fixed=fixed_parameters(results))
+    layers = replace(panels[0], caveats=(*counts, *results.caveats))
+    line = layers.subtitle(fixed_parameters(results))
     return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
 
 
@@ -225,7 +214,7 @@ def strip(layers: Layers) -> Figure:
     tidy(ax)
     band.set_yticks([])
     band.tick_params(bottom=False, labelbottom=False)
-    lay_out(figure, band, layers.title, layers.subtitle())
+    lay_out(figure, band, layers.title, layers.subtitle(layers.view.fixed))
     add_notes(figure, _write_on_map(band, layers, is_single=True))
     return figure
 
@@ -273,10 +262,9 @@ def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: f
     look: Look = {"colors": "white" if shades is not None and layers.has_light_lines else INK, "linewidths": linewidth}
     lines = LineCollection(layers.lines, joinstyle="round", capstyle="projecting", gid="boundaries", zorder=3, **look)
     ax.add_collection(lines, autolim=False)
-    if len(layers.doubts):  # a quiet dot on every undecided cell, and where tracing left it open
-        size = float(np.clip(0.5 * _MAP / max(layers.codes.shape), 1.2, 2.6))
-        look = _DOUBT | {"markersize": size, "rasterized": len(layers.doubts) > MOST_POINTS}
-        ax.plot(*layers.doubts.T, zorder=4, gid="undecided", **look)
+    if len(layers.doubts):  # a haze under the lines, on every undecided cell, and where tracing left it open
+        look = _DOUBT | {"color": INK, "rasterized": len(layers.doubts) > MOST_POINTS}
+        ax.plot(*layers.doubts.T, zorder=2, gid="undecided", **look)
 
 
 def _fill_regions(ax: Axes, layers: Layers) -> None:
@@ -292,26 +280,21 @@ def _fill_regions(ax: Axes, layers: Layers) -> None:
 
 def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
     """Draw the measured points with their labels, and write the regions' names; returns the notes that they need."""
-    if layers.shaded or layers.places:
-        return notes_of(layers, () if layers.shaded else layers.names, is_counted=is_single)
-    raster, (sizes, size) = Raster.of(ax, layers), _SIZES[is_single]
-    for agrees, (gid, marker) in _POINT_LOOKS.items():
-        places = [(point.x, point.y) for point in layers.points if point.agrees == agrees]
-        if layers.points:
-            label = f"measured, {gid}" + (f": {len(places)} of {len(layers.points)}" if is_single and agrees else "")
-            look: Look = marker | {"linestyle": "none", "markeredgecolor": "white", "clip_on": False, "zorder": 6}
-            ax.plot(*np.reshape(places, (-1, 2)).T, gid=gid, label=label, **look)
-    without = write_beside(raster, layers.points, size, 0.5 * _POINT + 1.5)
-    notes = notes_of(layers, write_names(raster, layers.names, sizes), is_counted=is_single)
-    return [*notes, remark("a point without a label: no room")] if without else notes
-
-
-def notes_of(layers: Layers, names: Sequence[str] = (), *, is_counted: bool = True) -> list[Artist]:
-    """Notes under a map: these names of regions with their colours, marks of cells, and further notes.
-
-    is_counted : whether they say how much of the map it is
-    """
-    notes = layers.legend(names, is_counted=is_counted)
+    unnamed: Sequence[str] = layers.names if layers.places and not layers.shaded else ()
+    is_crowded = False
+    if not layers.shaded and not layers.places:
+        raster, (sizes, size) = Raster.of(ax, layers), _SIZES[is_single]
+        for agrees, (gid, marker) in _POINT_LOOKS.items():
+            places = [(point.x, point.y) for point in layers.points if point.agrees == agrees]
+            if layers.points:
+                label = f"measured, {gid}"
+                label += f": {len(places)} of {len(layers.points)}" if is_single and agrees else ""
+                look: Look = marker | {"linestyle": "none", "markeredgecolor": "white", "clip_on": False, "zorder": 6}
+                ax.plot(*np.reshape(places, (-1, 2)).T, gid=gid, label=label, **look)
+        is_crowded = write_beside(raster, layers.points, size, 0.5 * _POINT + 1.5)
+        unnamed = write_names(raster, layers.names, sizes)
+    notes = layers.legend(unnamed, is_counted=is_single)
+    notes += [Note("a point without a label: no room", "")] * is_crowded
     return [swatch(*note) if note.colour else remark(note.text) for note in notes]
 
 
@@ -325,15 +308,3 @@ def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> N
         look: Look = {"linestyle": "none", "marker": "^", "color": INK, "markersize": 5.5, "clip_on": False}
         look |= {"label": f"vanishing backlash: {values}", "transform": ax.get_xaxis_transform(), "zorder": 6}
         ax.plot(inside, [0.0] * len(inside), **look)
-
-
-def _draw_ridge(ax: Axes, layers: Layers) -> None:
-    """Draw where a quantity is largest for each x, if that goes through much of the map."""
-    view, ridge = layers.view, ridge_of(layers.values)
-    known = np.isfinite(ridge)
-    if np.mean(known) >= _LONG:
-        upward = np.where(known, view.y.values[np.nan_to_num(ridge).astype(np.intp)], np.nan)
-        symbol = symbol_text(bare(view.x.symbol) or view.x.name)
-        look: Look = {"color": "white", "linewidth": 1.4, "gid": "ridge", "zorder": 4}
-        look["path_effects"] = [withStroke(linewidth=2.8, foreground=INK)]
-        ax.plot(view.x.values, upward, label=f"largest {layers.quantity.symbol or 'value'} for each {symbol}", **look)

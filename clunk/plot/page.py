@@ -83,15 +83,6 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
     failures = [(f"{count:,}", status.sentence) for status, count in counts if count]
     if failures:
         yield html_table(failures, ("failed cells", "why"))
-    changing = {axis.parameter for axis in part.axes if len(axis.values) > 1} - {"lash.backlash_deg"}
-    if thresholds and len(changing) == 1:  # others would change them
-        values = ", ".join(f"{value:.6g}" for value in thresholds)
-        yield "<h3>Thresholds as the backlash vanishes</h3>"
-        yield f"<p>One more impact appears at {escape(changing.pop())} = {values} (all modes, the lash locked).</p>"
-    if part.boundaries is not None:
-        heads, *rows = columns_of(part.boundaries.meeting_rows())
-        areas = [(label, f"{100.0 * area:.6g} %") for label, area in part.boundaries.areas.items()]
-        yield f"<h3>Boundaries</h3>{html_table(rows, heads)}{html_table(areas, ('label', 'share of the map'))}"
 
 
 def _svg(figure: Figure, name: str) -> str:

@@ -44,8 +44,8 @@ class View:
     def of(cls, drawn: Map, x: str | None = None, y: str | None = None) -> View:
         """The view of a grid over its axes, or of the runs of a sample or of axes that are walked together as points.
 
-        x, y : of runs the parameters, by default a grid's axis, load ratio and backlash first; x alone leaves y to a
-            quantity
+        x, y : of runs the parameters, by default a grid's axis, load ratio and backlash first; one alone leaves the
+            other to a quantity
 
         Raises PlotError where the map has more axes, or other parameters.
         """
@@ -57,10 +57,8 @@ class View:
                     "or else the first is x."
                 )
             return cls.of_grid(drawn)
-        if x is not None:
-            return cls.of_points(drawn, [x] if y is None else [x, y])
-        if y is not None:
-            raise PlotError("y goes with x, which is missing.")
+        if names := [name for name in (x, y) if name is not None]:
+            return cls.of_points(drawn, names)
         coordinates = sorted((axis.parameter for axis in drawn.coordinates), key=lambda name: name not in USUAL)
         return cls.of_points(drawn, [*(name for name in swept if name != RUN), *coordinates][:2])
 
@@ -97,8 +95,6 @@ class View:
         """
         dimensions = [axis.parameter for axis in drawn.axes]
         changing = {axis.parameter: axis for axis in (*drawn.parameters, *drawn.axes) if len(axis.values) > 1}
-        if len(set(names)) < len(names):
-            raise PlotError(f"x and y are both {names[0]}; name two parameters.")
         for name in names:
             if name not in changing:
                 raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
