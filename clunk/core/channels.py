@@ -11,7 +11,7 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray, IntArray, Positions
 from clunk.core.exponential import exponentials
-from clunk.core.regimes import Each, System
+from clunk.core.regimes import System
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 TERMS = 20  # a multiple of four
@@ -40,23 +40,22 @@ class Channels(NamedTuple):
         return self._replace(**{name: getattr(self, name)[drivelines] for name in self._fields if name not in common})
 
 
-def tabulate(each: Each, channels: FloatArray, system: System) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def tabulate(systems: System, channels: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """The lengths, steps, rates and series of D drivelines, see `Channels`.
 
     Parameters
     ----------
-    each : Each
+    systems : System
+        Of a batch.
     channels : (D, K, C, Z) float64
         Channel = row · z.
-    system : System
-        Of the first driveline.
     """
-    *flows, size, driven = each.inputs.shape
+    *flows, size, driven = systems.inputs.shape
     generators = np.zeros((*flows, size + driven, size + driven))
-    generators[..., :size, :size], generators[..., :size, size:] = each.rates, each.inputs
-    generators[..., size + TORQUE, size + TORQUE_RATE] = system.ramps
-    fastest = np.abs(np.linalg.eigvals(each.rates)).max(axis=-1)
-    lengths = _STEP / np.maximum(fastest, _STEP / each.end_time)
+    generators[..., :size, :size], generators[..., :size, size:] = systems.rates, systems.inputs
+    generators[..., size + TORQUE, size + TORQUE_RATE] = systems.ramps
+    fastest = np.abs(np.linalg.eigvals(systems.rates)).max(axis=-1)
+    lengths = _STEP / np.maximum(fastest, _STEP / systems.end_time)
     rates = generators * lengths[..., None, None]
     terms = [channels]
     for k in range(1, TERMS):

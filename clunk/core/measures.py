@@ -70,7 +70,7 @@ def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray,
         Output, zeros before: impulse [N m s], peak torque [N m] and energy [J] of each of the impacts, if
         `channels.of_impacts`.
     """
-    system, each, _, channels = batch
+    system, channels = batch.system, batch.channels
     assert channels is not None
     size, count, lashes = channels.rates.shape[-1], channels.series.shape[2], system.lashes.shape[0]
     room = Room(
@@ -81,7 +81,7 @@ def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray,
         ranges=np.zeros((count, 2)),
         first=np.zeros(lashes + 1, np.int64),
         row=np.zeros(lashes, np.int64),
-        systems=rows_of(system, each),
+        systems=rows_of(system, batch.systems),
         of_impacts=of_impacts,
     )
     _measure_runs(system, channels, cases, output, room, totals)

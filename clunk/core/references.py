@@ -101,21 +101,22 @@ def _reference_at(_: Any, rows: Any, k: Any, like: Any) -> Any:
 def rows_of(values: Any, each: Any) -> npt.NDArray[np.int64]:
     """A named tuple of numbers and arrays in the words by which compiled functions know it, D times.
 
-    In row k each of its arrays that the named tuple `each` has, too, is `each.NAME[k]`. Rows hold bare pointers: the
-    arrays are to outlive them.
+    Row k has `each.NAME[k]` in the place of arrays of which `each`, a tuple of the same type, has an axis of D more.
+    Rows hold bare pointers: the arrays are to outlive them.
     """
     words: list[int] = []
-    data = {}
-    for name, field in zip(values._fields, values, strict=True):
-        data[name] = len(words) + 4
+    varying = {}  # place of a pointer -> the array of D
+    for field, array in zip(values, each, strict=True):
         if isinstance(field, np.ndarray):  # as numba has it, of no owner
+            if array.ndim > field.ndim:
+                varying[len(words) + 4] = array
             words += [0, 0, field.size, field.itemsize, field.ctypes.data, *field.shape, *field.strides]
         else:
             words.append(field)
     drivelines = np.arange(len(each[0]))
     rows = np.tile(np.array(words), (drivelines.size, 1))
-    for name, array in zip(each._fields, each, strict=True):
-        rows[:, data[name]] = array.ctypes.data + drivelines * array.strides[0]
+    for place, array in varying.items():
+        rows[:, place] = array.ctypes.data + drivelines * array.strides[0]
     return rows
 
 

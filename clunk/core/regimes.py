@@ -11,13 +11,12 @@ A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d,
 `clunk.core.tables` names its successor.
 """
 
-import functools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from clunk.core.arrays import FloatArray, IntArray, Records
+from clunk.core.arrays import FloatArray, IntArray, Positions, Records
 from clunk.core.batches import alike
 from clunk.core.equilibrium import preload
 from clunk.core.jit import inlined_part, part
@@ -40,7 +39,6 @@ from clunk.core.tables import (
     build_tables,
     functionals_of,
     half_gap_of,
-    stages_of,
 )
 
 LOCKING_SHARE = 1e-4  # of the run's fastest touch: chatter has then lost all but 1e-8 of its energy
@@ -91,38 +89,39 @@ class System(NamedTuple):
     # (2n, 0 to 2)  what no torque depends on: the angle by which the driveline rolls, if it does so, and, without drag,
     # its speed; the first inertia that rolls has a share of 1 in it
     drift: FloatArray
+    first_rolling: int  # that inertia, or -1
     # scalars
     end_time: FloatArray  # (1,)  s after the load step
     sticking_time: FloatArray  # (L,)  s; 0 of rigid flanks, which have no contact period
     status: int  # why this system cannot be run, or OK
 
 
-class Each(NamedTuple):
-    """Those fields of `System` in which drivelines of one structure differ, of D drivelines: (D, …)."""
+# The fields in which drivelines of one structure differ: of D drivelines, a batch, they have an axis of D in front.
+VARYING = (
+    "rates",
+    "inputs",
+    "functionals",
+    "feedthrough",
+    "lashes",
+    "offsets",
+    "weights",
+    "impulse",
+    "passed",
+    "restitution",
+    "locking_speed",
+    "frictions",
+    "friction_torques",
+    "preload",
+    "contact_torque",
+    "drift",
+    "end_time",
+    "sticking_time",
+)
 
-    rates: FloatArray
-    inputs: FloatArray
-    functionals: FloatArray
-    feedthrough: FloatArray
-    lashes: FloatArray
-    offsets: FloatArray
-    weights: FloatArray
-    impulse: FloatArray
-    passed: FloatArray
-    restitution: FloatArray
-    locking_speed: FloatArray
-    frictions: FloatArray
-    friction_torques: FloatArray
-    preload: FloatArray
-    contact_torque: FloatArray
-    drift: FloatArray
-    end_time: FloatArray
-    sticking_time: FloatArray
 
-
-def alone(system: System) -> Each:
-    """What differs between drivelines, of one."""
-    return Each._make(getattr(system, name)[None] for name in Each._fields)
+def driveline_at(systems: System, index: Positions | list[int] | int | None) -> System:
+    """One driveline of a batch, or some of them; by None, a batch of one driveline."""
+    return systems._replace(**{name: getattr(systems, name)[index] for name in VARYING})
 
 
 gap_input = inlined_part(half_gap_of)
@@ -155,34 +154,16 @@ def frictions_of(system: System) -> int:
 @part
 def roll(system: System, angle: float, x: FloatArray) -> None:
     """Turn a state by an angle of the first inertia that rolls  [rad]."""
-    for k in range(system.inertias if system.drift.shape[1] > 0 else 0):
+    for k in range(system.inertias if system.first_rolling >= 0 else 0):
         x[k] += system.drift[k, 0] * angle
 
 
 @part
 def turn_back(system: System, x: FloatArray) -> float:
     """Turn a state back by the angle of the first inertia that rolls, and return it  [rad]."""
-    angle = x[_first_to_roll(system)] if system.drift.shape[1] > 0 else 0.0
+    angle = x[system.first_rolling] if system.first_rolling >= 0 else 0.0
     roll(system, -angle, x)
     return float(angle)
-
-
-@part
-def take_rolling(system: System, x: FloatArray) -> float:
-    """Take the angle that it rolled by out of a state where that stands apart, and return it  [rad]."""
-    if system.drift.shape[1] == 0:
-        return 0.0
-    first = _first_to_roll(system)
-    angle, x[first] = x[first], 0.0
-    return float(angle)
-
-
-@part
-def _first_to_roll(system: System) -> int:
-    first = 0
-    while system.drift[first, 0] == 0.0:
-        first += 1
-    return first
 
 
 @inlined_part
@@ -296,7 +277,7 @@ def build_system(
     staged : of StagedShaft
         Their stiffness in a flow's stages is part of its chain's.
     loose : of bool
-        Whether a part of the driveline is free to turn in one combination of stages, with all lashes closed, that is
+        Whether a part of the driveline is free to turn in each combination of stages, with all lashes closed, that is
         not so in others.
     frictions : of Friction
     """
@@ -314,101 +295,93 @@ def build_system(
         rows[..., speeds] = array
         return rows
 
-    def locked_in(active: FlowOf, rates: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A and B with the constraints of a flow: rigid flanks in contact, and frictions that stick."""
-        ties = [*(impulsive * closed for closed in active.closed), *active.stuck]
-        return locked(rates, inputs, inertia, tied, ties) if any(ties) else (rates, inputs)
+    def ties_in(flow: int) -> list[int]:
+        """The constraints of a flow: whether each of the rigid lashes is closed, and each of the frictions sticks."""
+        return [*(impulsive * closed for closed in every[flow].closed), *every[flow].stuck]
 
-    @functools.cache
-    def flow_of(active: FlowOf) -> tuple[FloatArray, FloatArray]:
-        rates, inputs = chain(inertia, *chains[active], load, driven, wave)
+    def flow_of(flow: int) -> tuple[FloatArray, FloatArray]:
+        rates, inputs = chain(inertia, *chains[every[flow]], load, driven, wave)
         for k, lash in enumerate(lashes):
-            if active.closed[k] and not impulsive:
-                inputs[..., speeds, half_gap_of(k)] = np.asarray(lash.stiffness)[..., None] * lash.twist / inertia
+            if every[flow].closed[k] and not impulsive:
+                inputs[..., speeds, half_gap_of(k)] = lash.stiffness[..., None] * lash.twist / inertia
         for k, shaft in enumerate(staged, constants):
             inputs[..., speeds, k] = -shaft.twist / inertia
         for k, friction in enumerate(frictions):
             inputs[..., speeds, rubbing + OF_FRICTION * k] = -friction.twist / inertia
-        return locked_in(active, rates, inputs)
+        return locked(rates, inputs, inertia, tied, ties_in(flow))
 
-    rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, every), strict=True))
-    first_rate = count * stride + len(staged)
+    flows = range(len(every))
+    rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, flows), strict=True))
+    first_rate, stuck_stride = count * stride + len(staged), len(every) >> len(frictions)
     functionals = np.zeros((*batch, len(every), first_rate + OF_FRICTION * len(frictions), mechanical + wave))
     feedthrough = np.zeros((*functionals.shape[:-1], driven))
 
-    def held_in(active: FlowOf, twist: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """The torque that keeps a rate of twist constant in a flow, by state and inputs; None if the flow does so."""
+    def set_holding(flow: int, tie: int, functional: int) -> bool:
+        """Make a functional the torque that ties two parts in a flow; false if the other constraints do so already."""
+        tie_stride = 1 << tie if tie < count else stuck_stride << tie - count
+        others, twist = flow - ties_in(flow)[tie] * tie_stride, tied[..., tie, :]
         pushed = by_speeds(twist / inertia)[..., None]
-        yielding = _across(twist, locked_in(active, pushed, pushed)[0][..., speeds, :])
+        yielding = _across(twist, locked(pushed, pushed, inertia, tied, ties_in(others))[0][..., speeds, :])
         if alike(yielding[..., 0] <= _SINGULAR * np.sum(twist**2 / inertia, axis=-1), 0):
-            return None
-        rates, inputs = (_across(twist, matrix[..., speeds, :]) / yielding for matrix in flow_of(active))
-        return rates, inputs
+            return False
+        functionals[..., flow, functional, :] = _across(twist, rates[..., others, speeds, :]) / yielding
+        feedthrough[..., flow, functional, :] = _across(twist, inputs[..., others, speeds, :]) / yielding
+        return True
 
     for k, lash in enumerate(lashes):
         of_lash, fed = functionals[..., k * stride :, :], feedthrough[..., k * stride :, :]
         of_lash[..., GAP, :n] = lash.twist[..., None, :]
         of_lash[..., ACCELERATION, :] = rates[..., n + lash.acceleration_of, :]
         fed[..., ACCELERATION, :] = inputs[..., n + lash.acceleration_of, :]
-        for flow, active in enumerate(every if impulsive else ()):  # the torque that locks it, also where nothing does
-            others = active._replace(closed=(*active.closed[:k], 0, *active.closed[k + 1 :]))
-            held = held_in(others, lash.twist)
-            if held is not None:
-                of_lash[..., flow, FORCE, :], fed[..., flow, FORCE, :] = held
+        for flow in flows if impulsive else ():  # the torque that locks it, also where nothing does
+            set_holding(flow, k, k * stride + FORCE)
         if lash.separation_by_force and not impulsive:
-            of_lash[..., FORCE, :n] = _in_each_flow(lash.stiffness) * lash.twist[..., None, :]
-            of_lash[..., FORCE, speeds] = _in_each_flow(lash.damping) * lash.twist[..., None, :]
+            of_lash[..., FORCE, :n] = (lash.stiffness[..., None] * lash.twist)[..., None, :]
+            of_lash[..., FORCE, speeds] = (lash.damping[..., None] * lash.twist)[..., None, :]
     for k, shaft in enumerate(staged, count * stride):
         functionals[..., k, :n] = shaft.twist[..., None, :]
     excess = np.zeros(len(every), np.int64)
     for k, friction in enumerate(frictions):
         rate, torque = first_rate + OF_FRICTION * k + RATE, rubbing + OF_FRICTION * k
-        for flow, active in enumerate(every):
-            others = active._replace(stuck=(*active.stuck[:k], 0, *active.stuck[k + 1 :]))
-            held = held_in(others, friction.twist)
-            if held is not None:
+        for flow in flows:
+            if set_holding(flow, count + k, rate + HOLDING):
                 functionals[..., flow, rate, speeds] = friction.twist
-                functionals[..., flow, rate + HOLDING, :], feedthrough[..., flow, rate + HOLDING, :] = held
                 feedthrough[..., flow, rate + HOLDING, torque] = 0.0
-            excess[flow] |= held is None and active.stuck[k]
+            else:
+                excess[flow] |= every[flow].stuck[k]
     if wave_rates is not None:
         rates[..., mechanical:, mechanical:] = wave_rates[..., None, :, :]
         rates[..., :mechanical, mechanical] = inputs[..., :mechanical, TORQUE]
         functionals[..., mechanical] = feedthrough[..., TORQUE]
 
     motions = rigid.shape.shape[-1]
-    opened_in = [FlowOf((0,) * count, stages, (0,) * len(frictions)) for stages in stages_of(staged)]
-    steady = np.zeros((*batch, len(opened_in), mechanical + wave, driven))
-    carried = np.zeros((*batch, len(opened_in), count, driven))
+    steady = np.zeros((*batch, len(loose), mechanical + wave, driven))
+    carried = np.zeros((*batch, len(loose), count, driven))
     torques, gaps = np.zeros((*batch, n, driven)), np.zeros((count, driven))
-    torques[..., TORQUE] = load
-    if motions:
-        drag = (chains[every[0]][0] @ rigid.speeds[..., None])[..., 0]
-        torques[..., TORQUE] = load - drag - inertia * rigid.accelerations
+    drag = (chains[every[0]][0] @ rigid.speeds[..., None])[..., 0]
+    torques[..., TORQUE] = load - drag - inertia * rigid.accelerations
     for k, shaft in enumerate(staged, constants):
         torques[..., k] = -shaft.twist
     gaps[range(count), [half_gap_of(k) for k in range(count)]] = 1.0
     compliance = _of_lashes([0.0 if impulsive else 1.0 / lash.stiffness for lash in lashes])
     momentum = inertia[..., None] * rigid.shape
-    for k, active in enumerate(opened_in if motions <= 1 else []):
-        if loose[k]:
+    for k, is_loose in enumerate(loose if motions <= 1 else ()):
+        if is_loose:
             steady[..., k, :, :] = np.nan  # no equilibrium, or many
             continue
-        angles, carried[..., k, :, :] = preload(chains[active][1], torques, twists, gaps, momentum, compliance)
+        stiffness = chains[every[k << count]][1]  # with all lashes open
+        angles, carried[..., k, :, :] = preload(stiffness, torques, twists, gaps, momentum, compliance)
         steady[..., k, :n, :], steady[..., k, speeds, TORQUE] = angles, rigid.speeds
     status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
-    rolling = rigid.shape[..., : int(status == Status.OK)]
+    rolling = np.broadcast_to(rigid.shape, (*batch, n, motions))[..., : int(status == Status.OK)]
     # by the angles, and where nothing drags by the speeds, too
     drift = np.asarray(np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling), np.float64)
-    tables = build_tables(lashes, staged, frictions)
+    joints = by_speeds(np.broadcast_to(tied, (*batch, *tied.shape[-2:])))
+    tables = build_tables(lashes, staged, frictions, batch)
     for k in range(len(frictions)):  # a rate that stays zero ends nothing
         rate = first_rate + OF_FRICTION * k + RATE
         is_held = ~alike(functionals[..., tables.regimes["flow"], rate, :].any(axis=-1))[:, None]
         tables.offsets[..., is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
-
-    def of_each(array: FloatArray, dimensions: int) -> FloatArray:
-        """An array of so many dimensions for each driveline of a batch, which may be common to all."""
-        return np.broadcast_to(array, (*batch, *array.shape[array.ndim - dimensions :])).copy()
 
     return System(
         rates=rates,
@@ -416,10 +389,10 @@ def build_system(
         functionals=functionals,
         feedthrough=feedthrough,
         functionals_per_lash=stride,
-        lashes=of_each(by_speeds(twists), 2),
+        lashes=joints[..., :count, :],
         inertias=n,
         ramps=int(ramps),
-        **tables._replace(offsets=of_each(tables.offsets, 3), weights=of_each(tables.weights, 2))._asdict(),
+        **tables._asdict(),
         impulsive=int(impulsive),
         impulse=by_speeds(impulse),
         passed=passed,
@@ -427,12 +400,13 @@ def build_system(
         locking_speed=_of_lashes(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
         ),
-        frictions=of_each(by_speeds(tied[..., count:, :]), 2),
+        frictions=joints[..., count:, :],
         friction_torques=_of_lashes([friction.most for friction in frictions], batch),
         excess=excess,
         preload=steady,
         contact_torque=carried,
-        drift=of_each(drift, 2),
+        drift=drift,
+        first_rolling=int(alike(rolling.any(axis=-1)).argmax()) if rolling.size else -1,
         end_time=_of_lashes([end_time], batch),
         sticking_time=_of_lashes([lash.sticking_time for lash in lashes], batch),
         status=int(status),
@@ -469,8 +443,3 @@ def _of_lashes(numbers: Sequence[FloatArray | float], batch: Sequence[int] = ())
 def _across(twist: FloatArray, matrix: FloatArray) -> FloatArray:
     """(…, columns) a twist times the columns of a matrix, (…, n, columns)."""
     return np.asarray((twist[..., None, :] @ matrix)[..., 0, :])
-
-
-def _in_each_flow(number: FloatArray | float) -> FloatArray:
-    """A number of a driveline, or of each of a batch, to be multiplied by a matrix."""
-    return np.asarray(number)[..., None, None]

@@ -97,7 +97,7 @@ class Lash(NamedTuple):
     """A lash with its contact, and what is asked of it.
 
     twist : (n,) float64, q = twist · θ
-    stiffness, damping : float or (D,) float64 in a batch of drivelines, of the contact  [N m/rad], [N m s/rad]
+    stiffness, damping : () or (D,) float64 in a batch of drivelines, of the contact  [N m/rad], [N m s/rad]
     acceleration_of : int, index from 0 of the inertia whose acceleration is watched
     sticking_time : float, a longer contact is sticking  [s]
     separation_by_force : bool
@@ -106,8 +106,8 @@ class Lash(NamedTuple):
     """
 
     twist: FloatArray
-    stiffness: Number
-    damping: Number
+    stiffness: FloatArray
+    damping: FloatArray
     acceleration_of: int
     sticking_time: Number
     separation_by_force: bool = False
@@ -192,54 +192,32 @@ class _Element(NamedTuple):
     states: list[_State]
     functional: int  # the first of its
     input: int  # its half gap, or a 1
-    lash: int = -1  # its number, of a lash
 
 
-def _indentation_states(stiffness: Number, damping: Number, separation_by_force: bool) -> list[_State]:
-    # at a touch the overlap is zero, but the contact force is c q' > 0, if there is damping
-    order = 0 if separation_by_force and np.all(np.asarray(damping) > 0.0) else 1
-    states = [_open(0 if order else -1, order)]
-    for side, parted in ((1, PARTED_POSITIVE), (-1, PARTED_NEGATIVE)):
-        if separation_by_force:
-            # the flanks may press less than nothing on each other; a miss is near where they all but cease to overlap
-            force = _Guard(FORCE, side, -stiffness, parted, SEPARATION, 1, 1)
-            states.append(_State(1, side, [force], (_Guard(GAP, side, -1.0, makes_margin=True),)))
-        else:
-            overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, _reached(side), 1, makes_margin=True)
-            states.append(_State(1, side, [overlap]))
-    for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE)):
-        if separation_by_force:
-            opening = _Guard(GAP, side, -1.0, OPEN, OPENING, _reached(side), 1, makes_margin=True)
-            rejoin = _Guard(FORCE, -side, stiffness, closed, REJOIN, 0, 1)
-            states.append(_State(0, side, [opening, rejoin]))
-    return states
-
-
-def _restitution_states() -> list[_State]:
-    # What follows a touch is decided at the touch; a separation leaves with value, slope and curvature of the gap zero.
-    return [_open(-1, 0)] + [
-        _State(1, side, [_Guard(FORCE, side, 0.0, OPEN, SEPARATION, _reached(side), zero_order=3, makes_margin=True)])
-        for side in (1, -1)
+def _lash_states(lash: Lash) -> list[_State]:
+    by_force, is_rigid = lash.separation_by_force, lash.restitution is not None
+    # At a touch the overlap is zero, but the contact force is c q' > 0, if there is damping; of rigid flanks it is
+    # decided what follows. These leave with value, slope and curvature of the gap zero.
+    order = 0 if is_rigid or (by_force and np.all(lash.damping > 0.0)) else 1
+    touches = [
+        _Guard(GAP, -side, 1.0, closed, TOUCH, 0 if order else -1, order, makes_margin=True)
+        for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE))
     ]
-
-
-def _open(zero_guard: int, zero_order: int) -> _State:
-    """The open state, by the guard of a closed one that is zero at a touch, and its order; margins are of the gap."""
-    return _State(
-        0,
-        0,
-        [
-            _Guard(GAP, -side, 1.0, closed, TOUCH, zero_guard, zero_order, makes_margin=True)
-            for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE))
-        ],
-        of_gap=2.0,
-        of_rest=0.0,
-    )
-
-
-def _reached(side: int) -> int:
-    """The open state's guard of the flank of `side`."""
-    return 0 if side > 0 else 1
+    states, parted_states = [_State(0, 0, touches, of_gap=2.0, of_rest=0.0)], []
+    for reached, side in enumerate((1, -1)):  # the open state's guard of that flank
+        overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, reached, 1, makes_margin=True)
+        if is_rigid:
+            states.append(_State(1, side, [overlap._replace(functional=FORCE, offset=0.0, zero_order=3)]))
+        elif by_force:
+            # the flanks may press less than nothing on each other; a miss is near where they all but cease to overlap
+            closed, parted = CLOSED_POSITIVE + reached, PARTED_POSITIVE + reached
+            force = _Guard(FORCE, side, -lash.stiffness, parted, SEPARATION, 1, 1)
+            states.append(_State(1, side, [force], (_Guard(GAP, side, -1.0, makes_margin=True),)))
+            rejoin = _Guard(FORCE, -side, lash.stiffness, closed, REJOIN, 0, 1)
+            parted_states.append(_State(0, side, [overlap._replace(event_kind=OPENING), rejoin]))
+        else:
+            states.append(_State(1, side, [overlap]))
+    return states + parted_states
 
 
 def _stages(shaft: StagedShaft) -> list[_State]:
@@ -305,7 +283,7 @@ def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list
 class Tables(NamedTuple):
     """The tables of `System`: R regimes in U groups, G guards at most, L lashes, I inputs; see there.
 
-    In a batch of drivelines that differ in them, offsets and weights have an axis more in front.
+    In a batch of drivelines, offsets and weights have an axis more in front.
     """
 
     regimes: Records
@@ -317,83 +295,67 @@ class Tables(NamedTuple):
     regime_strides: IntArray
 
 
-def build_tables(lashes: Sequence[Lash], staged: Sequence[StagedShaft], frictions: Sequence[Friction]) -> Tables:
-    """The tables of all combinations of states."""
-    stride, inputs = functionals_of(lashes), INPUTS + len(lashes) - 1
+def build_tables(
+    lashes: Sequence[Lash], staged: Sequence[StagedShaft], frictions: Sequence[Friction], batch: Sequence[int]
+) -> Tables:
+    """The tables of all combinations of states; batch : (D,) of a batch of drivelines, else ()."""
+    count, stride, constants = len(lashes), functionals_of(lashes), INPUTS + len(lashes) - 1
+    rates, rubbing = count * stride + len(staged), constants + len(staged)
     elements = [
-        _Element(
-            _restitution_states()
-            if lash.restitution is not None
-            else _indentation_states(lash.stiffness, lash.damping, lash.separation_by_force),
-            k * stride,
-            half_gap_of(k),
-            k,
-        )
-        for k, lash in enumerate(lashes)
+        *(_Element(_lash_states(lash), k * stride, half_gap_of(k)) for k, lash in enumerate(lashes)),
+        *(_Element(_stages(shaft), count * stride + k, constants + k) for k, shaft in enumerate(staged)),
+        *(
+            _Element(_slips(friction), rates + OF_FRICTION * k, rubbing + OF_FRICTION * k)
+            for k, friction in enumerate(frictions)
+        ),
     ]
-    functionals = len(lashes) * stride
-    elements += [_Element(_stages(shaft), functionals + k, inputs + k) for k, shaft in enumerate(staged)]
-    functionals, inputs = functionals + len(staged), inputs + len(staged)
-    elements += [
-        _Element(_slips(friction), functionals + OF_FRICTION * k, inputs + OF_FRICTION * k)
-        for k, friction in enumerate(frictions)
-    ]
-    return _product(elements, len(lashes), inputs + OF_FRICTION * len(frictions))
-
-
-def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
     chosen = combinations([len(element.states) for element in elements])
     strides = _strides([len(element.states) for element in elements])
     flow_strides = _strides([1 + max(state.flow for state in element.states) for element in elements])
-    states = [[element.states[i] for element, i in zip(elements, number, strict=True)] for number in chosen]
-    rows = [
-        [(e, guard) for e, state in enumerate(active) for guard in state.guards]
-        + [(e, guard) for e, state in enumerate(active) for guard in state.watched]
-        for active in states
-    ]
-    most = max(map(len, rows))
-    regimes, contacts = np.zeros(len(states), REGIME), np.zeros((len(states), lashes), CONTACT)
-    numbers = [guard.offset for row in rows for _, guard in row] + [state.weight for row in states for state in row]
-    batch = max(map(np.shape, numbers))
-    guards, offsets = np.zeros((len(states), most), GUARD), np.zeros((*batch, len(states), most, inputs))
-    weights = np.ones((*batch, len(states), inputs))
+    most = sum(max(len(state.guards) + len(state.watched) for state in element.states) for element in elements)
+    regimes, contacts = np.zeros(len(chosen), REGIME), np.zeros((len(chosen), count), CONTACT)
+    guards = np.zeros((len(chosen), most), GUARD)
+    offsets = np.zeros((*batch, *guards.shape, rubbing + OF_FRICTION * len(frictions)))
+    weights = np.ones((*batch, len(chosen), offsets.shape[-1]))
     groups: dict[tuple[Any, ...], int] = {}  # what makes a group -> its number
     leaders = []
-    for k, active in enumerate(states):
+    for k, number in enumerate(chosen):
+        active = [element.states[i] for element, i in zip(elements, number, strict=True)]
+        rows = [(e, guard) for e, state in enumerate(active) for guard in state.guards]
+        ending = len(rows)
+        rows += [(e, guard) for e, state in enumerate(active) for guard in state.watched]
         flow = int(np.dot([state.flow for state in active], flow_strides[:-1]))
-        sides = [int(np.asarray(state.weight)) for state in active[:lashes]]
-        functionals = [elements[e].functional + guard.functional for e, guard in rows[k]]
-        signs = [guard.sign * (sides[e] or 1 if e < lashes else 1) for e, guard in rows[k]]
+        sides = [int(np.asarray(state.weight)) for state in active[:count]]
+        functionals = [elements[e].functional + guard.functional for e, guard in rows]
+        signs = [guard.sign * (sides[e] or 1 if e < count else 1) for e, guard in rows]
         key = flow, tuple(side != 0 for side in sides), tuple(functionals), tuple(signs)
         if key not in groups:
             groups[key] = len(groups)
             leaders.append(k)
-        count = sum(len(state.guards) for state in active)
-        regimes[k] = (flow, count, len(rows[k]), groups[key])
+        regimes[k] = (flow, ending, len(rows), groups[key])
         for e, (element, state) in enumerate(zip(elements, active, strict=True)):
             weights[..., k, element.input] = state.weight
-            if element.lash >= 0:
+            if e < count:
                 contacts[k, e] = (state.flow, sides[e], state.of_gap, state.of_rest)
-        for g, (e, guard) in enumerate(rows[k]):
-            element, successor, zero_guard = elements[e], -1, -1
+        for g, (e, guard) in enumerate(rows):
+            successor, zero_guard = -1, -1
             if guard.successor >= 0:
-                successor = k + int(strides[e]) * (guard.successor - chosen[k][e])
+                successor = k + int(strides[e]) * (guard.successor - number[e])
                 if guard.zero_guard >= 0:
                     zero_guard = sum(len(state.guards) for state in active[:e]) + guard.zero_guard
-            side = (sides[e] or (1 if guard.successor == CLOSED_POSITIVE else -1)) if element.lash >= 0 else 0
             guards[k, g] = (
                 functionals[g],
                 guard.sign,
                 successor,
                 guard.event_kind,
-                element.lash,
-                side,
+                e if e < count else -1,
+                (sides[e] or (1 if guard.successor == CLOSED_POSITIVE else -1)) if e < count else 0,
                 zero_guard,
                 guard.zero_order,
                 guard.makes_margin,
                 functionals.index(functionals[g]),
             )
-            offsets[..., k, g, element.input] = guard.offset
+            offsets[..., k, g, elements[e].input] = guard.offset
     return Tables(regimes, contacts, guards, offsets, weights, np.array(leaders), strides)
 
 

@@ -22,7 +22,7 @@ from clunk.core.exact.workspace import (
 from clunk.core.jit import compiled, part
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import refer
-from clunk.core.regimes import Each, System, alone, lashes_of
+from clunk.core.regimes import System, driveline_at, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Room, make_room
@@ -115,29 +115,31 @@ def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray
 
 
 class Batch(NamedTuple):
-    """Drivelines that differ in the fields of `Each` only: for rk4 one, else any number D of them.
+    """Drivelines that differ in `regimes.VARYING` only: for rk4 one, else any number D of them.
 
-    All have the same `modal` and `steady` in their `Flows` (`simulation.batches` sees to that),
-    and the same fields of `System` that `Each` does not name: of these the first driveline's are read for all.
+    All have the same `modal` and `steady` in their `Flows` (`simulation.batches` sees to that).
     """
 
-    system: System  # of the first
-    each: Each  # what differs, with an axis of D in front
+    systems: System  # with an axis of D in front of what varies
     tables: Steps | Flows  # of one driveline; or with an axis of D in front
     channels: Channels | None = None  # what is measured, if anything is
 
+    @property
+    def system(self) -> System:
+        """That of the first driveline."""
+        return driveline_at(self.systems, 0)
+
     def at(self, drivelines: Positions | list[int]) -> "Batch":
         """The batch of some of the drivelines."""
-        each, tables, channels = Each._make(array[drivelines] for array in self.each), self.tables, self.channels
+        tables, channels = self.tables, self.channels
         if isinstance(tables, Flows):
             tables = Flows._make(table[drivelines] for table in tables)
-        first = {name: array[0] for name, array in each._asdict().items()}
-        return Batch(self.system._replace(**first), each, tables, channels and channels.at(drivelines))
+        return Batch(driveline_at(self.systems, drivelines), tables, channels and channels.at(drivelines))
 
 
 def batch_of(system: System, tables: Steps | Flows, channels: Channels | None = None) -> Batch:
     """A batch of one driveline."""
-    return Batch(system, alone(system), tables, channels)
+    return Batch(driveline_at(system, None), tables, channels)
 
 
 def run_tile(
@@ -161,7 +163,7 @@ def run_tile(
     done, written : int
         The first cell that was not run, and how many impacts were written.
     """
-    system, each, tables, _ = batch
+    system, tables = batch.system, batch.tables
     size, cells = system.lashes.shape[1], len(output.cells)
     capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (max_events + 1, 0)
     scratch = _Scratch(np.empty(size), np.empty(max_events + 1, np.int64))
@@ -176,7 +178,7 @@ def run_tile(
     several = len(system.regime_strides) > 2
     under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables)) if several else UNDER_WAY
     slots = min(under_way, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
-    space = make_workspace(system, each, tables, cases.loads, slots, capacity, states)
+    space = make_workspace(batch.systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)
     begins, impacts = np.full(cells - first, -1), output.impacts
     done: int = by_exact(space, undecided, cases, first, max_events, output, scratch, free, begins, stop)

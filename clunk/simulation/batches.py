@@ -7,7 +7,7 @@ import numpy as np
 
 from clunk.core.batches import UnlikeError
 from clunk.core.exact.flows import Flows
-from clunk.core.regimes import Each
+from clunk.core.regimes import driveline_at
 from clunk.core.rk4.propagator import build_steps
 from clunk.core.tile import Batch, batch_of
 from clunk.simulation.driveline import Driveline, build, prepare
@@ -34,7 +34,7 @@ def prepare_one(study: Study) -> Batch:
     batch = batch_of(*prepare(study, line))
     if not study.measured:
         return batch
-    return batch._replace(channels=channels_of(study, line, batch.system, batch.each))
+    return batch._replace(channels=channels_of(study, line, batch.systems))
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:
@@ -102,13 +102,12 @@ def _prepare_alike(
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:
     """The batches of drivelines with other numbers than a study's: of the exact method one."""
     exact, steps = study.solver.method == "exact", line.varied.get(("solver", "step"))
-    system, flows = prepare(study, line) if exact else (build(study, line), None)
-    each = Each._make(getattr(system, name) for name in Each._fields)
-    channels = channels_of(study, line, system, each) if study.measured else None
-    for k in range(len(each.rates)):
-        first = system._replace(**{name: array[k] for name, array in each._asdict().items()})
-        if isinstance(flows, Flows):
-            yield np.arange(len(each.rates)), Batch(first, each, flows, channels)
-            return
+    systems, flows = prepare(study, line) if exact else (build(study, line), None)
+    channels = channels_of(study, line, systems) if study.measured else None
+    if isinstance(flows, Flows):
+        yield np.arange(len(systems.rates)), Batch(systems, flows, channels)
+        return
+    for k in range(len(systems.rates)):
         step = study.solver.step if steps is None else float(steps[k])
-        yield np.array([k]), batch_of(*build_steps(first, step), channels and channels.at([k]))
+        tables = build_steps(driveline_at(systems, k), step)
+        yield np.array([k]), batch_of(*tables, channels and channels.at([k]))

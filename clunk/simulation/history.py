@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import STAGE, TOUCH
-from clunk.core.regimes import System, alone
+from clunk.core.regimes import System, driveline_at
 from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
@@ -263,7 +263,7 @@ class _Phase(NamedTuple):
         state, regime, n = self.state, self.regime, system.inertias
         contact_torques = np.zeros((len(state), regime.closed.size))
         for lash in np.flatnonzero(regime.closed).tolist():
-            across = torque_across(line, system, alone(system), self.flow, lash)[0]
+            across = torque_across(line, driveline_at(system, None), self.flow, lash)[0]
             by_state, by_inputs = np.split(across, [state.shape[1]])
             contact_torques[:, lash] = apply(by_state[None], state)[:, 0] + by_inputs @ regime.inputs
         acceleration = apply(regime.rates[n : 2 * n], state) + regime.forcing[n : 2 * n]

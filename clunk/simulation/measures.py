@@ -3,7 +3,7 @@
 import numpy as np
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, Channels, tabulate
-from clunk.core.regimes import Each, System
+from clunk.core.regimes import System
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
 from clunk.simulation.driveline import Driveline
 from clunk.study.arrays import Floats
@@ -11,18 +11,18 @@ from clunk.study.models import part_of
 from clunk.study.study import Study
 
 
-def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Channels:
+def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
     """The channels of a study's measures.
 
     Parameters
     ----------
     line : Driveline
         Of the study, or a batch of D that have other numbers.
-    system, each
+    systems : System
         Of them, as in `clunk.core.tile.Batch`.
     """
-    n, lashes = system.inertias, line.lashes.shape[-2]
-    count, _, size, driven = each.inputs.shape
+    n, lashes = systems.inertias, line.lashes.shape[-2]
+    count, _, size, driven = systems.inputs.shape
     staged = [shaft for shaft, _ in line.staged]
     flows = flows_of(lashes, [shaft for _, shaft in line.staged], len(line.frictions))
     rows = np.zeros((count, len(flows), OF_LASH * lashes + len(study.measures), size + driven))
@@ -35,11 +35,11 @@ def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Ch
         if k in staged:
             row[:, size + half_gap_of(lashes) + staged.index(k)] = 1.0  # behind the half gaps
         behind = OF_FRICTION * len(active.stuck)
-        torque_at, holding = size + driven - behind, each.functionals.shape[-2] - behind
+        torque_at, holding = size + driven - behind, systems.functionals.shape[-2] - behind
         for (friction, shares), sticks in zip(line.frictions, active.stuck, strict=True):
             share = shares[..., k] * np.sign((twist * friction.twist).sum(axis=-1))
             if sticks:
-                row += share[..., None] * _read(each, flow, holding + HOLDING)
+                row += share[..., None] * _read(systems, flow, holding + HOLDING)
             else:
                 row[:, torque_at] += share
             torque_at, holding = torque_at + OF_FRICTION, holding + OF_FRICTION
@@ -48,22 +48,22 @@ def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Ch
         for lash, twist in enumerate(np.moveaxis(line.lashes, -2, 0)):
             of_lash = rows[:, flow, OF_LASH * lash :]
             if active.closed[lash]:
-                of_lash[:, CONTACT_TORQUE] = torque_across(line, system, each, flow, lash)
+                of_lash[:, CONTACT_TORQUE] = torque_across(line, systems, flow, lash)
             of_lash[:, CLOSING, n : 2 * n] = twist
         for m, measure in enumerate(study.measures, OF_LASH * lashes):
             part = part_of(measure, study)
             row, k = rows[:, flow, m], part.number
             if measure.quantity == "acceleration":
-                row[:, :size], row[:, size:] = each.rates[:, flow, n + k], each.inputs[:, flow, n + k]
+                row[:, :size], row[:, size:] = systems.rates[:, flow, n + k], systems.inputs[:, flow, n + k]
             elif measure.quantity == "contact torque":
                 row[:] = rows[:, flow, OF_LASH * k + CONTACT_TORQUE]
             elif measure.quantity == "twist":
                 row[:, :n] = (line.lashes if part.element == "lash" else line.shafts)[..., k, :]
             else:
                 set_shaft_torque(row, k, flow, active)
-    pressed = 0.0 if system.impulsive else 1.0
+    pressed = 0.0 if systems.impulsive else 1.0
     return Channels(
-        *tabulate(each, rows, system),
+        *tabulate(systems, rows),
         of_impacts=int(bool(study.impacts.quantities)),
         swings=np.array([measure.reduce == "peak-to-peak" for measure in study.measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
@@ -71,12 +71,12 @@ def channels_of(study: Study, line: Driveline, system: System, each: Each) -> Ch
     )
 
 
-def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: int) -> Floats:
+def torque_across(line: Driveline, systems: System, flow: int, lash: int) -> Floats:
     """(D, Z) the torque across a lash, closed in a flow, by state and inputs, signed like q."""
-    if system.impulsive:
-        force = lash * system.functionals_per_lash + FORCE
-        return _read(each, flow, force)
-    n, (count, _, size, driven) = system.inertias, each.inputs.shape
+    if systems.impulsive:
+        force = lash * systems.functionals_per_lash + FORCE
+        return _read(systems, flow, force)
+    n, (count, _, size, driven) = systems.inertias, systems.inputs.shape
     row, stiffness, damping = np.zeros((count, size + driven)), line.contact_stiffnesses, line.contact_dampings
     row[:, :n] = stiffness[..., lash, None] * line.lashes[..., lash, :]
     row[:, n : 2 * n] = damping[..., lash, None] * line.lashes[..., lash, :]
@@ -84,6 +84,6 @@ def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: 
     return row
 
 
-def _read(each: Each, flow: int, functional: int) -> Floats:
+def _read(systems: System, flow: int, functional: int) -> Floats:
     """(D, Z) a functional of a flow, by state and inputs."""
-    return np.concatenate([each.functionals[:, flow, functional], each.feedthrough[:, flow, functional]], axis=-1)
+    return np.concatenate([systems.functionals[:, flow, functional], systems.feedthrough[:, flow, functional]], axis=-1)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.reductions import constrained, without_drift
-from clunk.core.regimes import alone
+from clunk.core.regimes import driveline_at
 from clunk.core.status import Status
 from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline, build, explained
@@ -84,7 +84,7 @@ class SmallGap(NamedTuple):
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
         state = states(regime_under(system, rest.regime, after), rest.x, 0.0, step, time.size)
-        across = torque_across(driveline, system, alone(system), system.regimes[rest.regime]["flow"], 0)[0]
+        across = torque_across(driveline, driveline_at(system, None), system.regimes[rest.regime]["flow"], 0)[0]
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time
         return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)

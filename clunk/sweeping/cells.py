@@ -226,16 +226,16 @@ class Grid:
         for drivelines, cells, of_cells in self._by_batches(values, count):
             batch, positions, cases = drivelines, cells, of_cells
             most = self.study.solver.max_events
-            if measures and batch.system.regimes.size > batch.system.regime_strides[lashes]:
+            if measures and batch.systems.regimes.size > batch.systems.regime_strides[lashes]:
                 most += MOST_STAGES  # changes of stage need room too
             room = min(kernel.EVENTS, most)
             while positions.size and not stop[0]:
                 if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
-                    batch = batch.at(cases.drivelines[:1]) if len(batch.each.rates) > 1 else batch
+                    batch = batch.at(cases.drivelines[:1]) if len(batch.systems.rates) > 1 else batch
                     cases = cases._replace(drivelines=_THE_ONLY)
                 at_once = min(positions.size, max(_STATES // (room + 1), 1)) if measures else positions.size
                 logs = np.zeros((at_once, room + 1) if measures or keeps_events else (0, 0), EVENT)
-                states = np.empty((at_once, room + 1, batch.system.rates.shape[1]) if measures else (0, 0, 0))
+                states = np.empty((at_once, room + 1, batch.systems.rates.shape[-1]) if measures else (0, 0, 0))
                 again = []
                 for begin in range(0, positions.size, at_once):
                     part = positions[begin : begin + at_once]

@@ -22,7 +22,7 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import frictions_of, gap_input, lashes_of, take_rolling
+from clunk.core.regimes import frictions_of, gap_input, lashes_of
 from clunk.core.runs import Entry, Moment, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
 from clunk.core.sequence import is_primary, is_sticking
 from clunk.core.status import QUALITY_COMPLETE, Status
@@ -156,7 +156,9 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     system, row = system_of(space, slot), space.runs[slot]
     x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
     at, log = Moment(system, time, x, space.inputs[slot]), log_of(space, slot)
-    row.rolled += take_rolling(system, x)
+    if system.first_rolling >= 0:
+        row.rolled += x[system.first_rolling]
+        x[system.first_rolling] = 0.0
     for k in range(x.size):
         total += abs(x[k])
     if not np.isfinite(total):

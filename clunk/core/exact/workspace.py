@@ -16,7 +16,7 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import reference_at, rows_of
-from clunk.core.regimes import Each, System
+from clunk.core.regimes import System, driveline_at
 from clunk.core.runs import Log
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
@@ -73,7 +73,7 @@ class Workspace(NamedTuple):
     N states, G guards, L lashes, W lanes.
     """
 
-    system: System  # of the first driveline: for all but the fields of `Each`, which `system_of` a run has
+    system: System  # of the first driveline: for all but `regimes.VARYING`, which `system_of` a run has
     systems: IntArray  # (D, …)  that of each driveline, see `system_at`
     flows: Flows  # of all drivelines, with an axis in front
     mixed: int  # whether runs that are taken together may have different drivelines
@@ -113,21 +113,19 @@ class Workspace(NamedTuple):
 
 
 def make_workspace(
-    system: System, each: Each, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int
+    systems: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int
 ) -> Workspace:
     """Room for `slots` runs of so many events and states at them, none of which has begun.
 
     Parameters
     ----------
-    system : System
-        Of the first driveline.
-    each : Each
-        What differs in the others; to outlive the workspace.
+    systems : System
+        Of a batch of drivelines; to outlive the workspace.
     flows : Flows
         Of all drivelines, with an axis in front.
     loads : (loads, P, PIECE) float64
     """
-    size, most = flows.basis.shape[3], system.guards.shape[1]
+    system, size, most = driveline_at(systems, 0), flows.basis.shape[3], systems.guards.shape[1]
     drivelines, count = flows.watch.shape[:2]
     mixed = drivelines > 1
     shortest = aligned(count, WIDTH)
@@ -141,7 +139,7 @@ def make_workspace(
     of_a_run, searches = kink_at + 1, lashes + most + 1
     return Workspace(
         system=system,
-        systems=rows_of(system, each),
+        systems=rows_of(system, systems),
         flows=flows,
         mixed=int(mixed),
         pool=make_pool(over + 2, 2 * slots, of_a_run),  # two guards of a functional may be searched at a time
