@@ -81,7 +81,7 @@ def _uncached(**options: Any) -> Callable[[Function], Function]:
     return cast(Callable[[Function], Function], numba.njit(nogil=True, error_model="numpy", **options))
 
 
-def _compiled(function: Function) -> Function:
+def compiled(function: Function) -> Function:
     """A function that Python calls, kept between processes."""
     if partial is None:
         return _uncached(cache=True)(function)
@@ -106,7 +106,6 @@ try:
 except (ImportError, AttributeError):  # numba's inner parts are not as expected: slower to compile, the same bits
     partial = None
 _configure()  # before the first function is decorated
-compiled = _compiled
 # What only compiled functions call. It is optimised and made machine code with its callers, and once only: numba would
 # do so with each function and all that it calls, for functions of functions again and again (exact takes 70 s of
 # processor time so, and 26 s with parts). Which of them are inlined is LLVM's choice.

@@ -55,14 +55,16 @@ def kernel(dispatcher: Any) -> Any:
     return dispatcher
 
 
+class _Pass(AnalysisPass):
+    def __init__(self) -> None:  # abstract in what it extends
+        super().__init__()
+
+
 @register_pass(mutates_CFG=False, analysis_only=True)
-class _BeginPart(AnalysisPass):
+class _BeginPart(_Pass):
     """Before a part is lowered: into a library of its own kind, and not prepared for execution."""
 
     _name = "clunk_begin_part"
-
-    def __init__(self) -> None:
-        super().__init__()
 
     def run_pass(self, state: Any) -> bool:
         codegen = state.targetctx.codegen()
@@ -72,13 +74,10 @@ class _BeginPart(AnalysisPass):
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
-class _EndPart(AnalysisPass):
+class _EndPart(_Pass):
     """After it: name it to its callers, which numba does together with the preparation for execution."""
 
     _name = "clunk_end_part"
-
-    def __init__(self) -> None:
-        super().__init__()
 
     def run_pass(self, state: Any) -> bool:
         lowered = state["cr"]

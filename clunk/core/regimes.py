@@ -400,7 +400,7 @@ def build_system(
         locking_speed=_of_lashes(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
         ),
-        frictions=joints[..., count:, :],
+        frictions=joints[..., count:, :].copy(),
         friction_torques=_of_lashes([friction.most for friction in frictions], batch),
         excess=excess,
         preload=steady,

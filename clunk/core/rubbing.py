@@ -33,7 +33,17 @@ from clunk.core.regimes import (
     stride_of_friction,
 )
 from clunk.core.runs import Moment
-from clunk.core.tables import ABOVE, FORCE, HOLDING, SLIPS_BACKWARD, SLIPS_FORWARD, STICKS, TORQUE, TORQUE_RATE
+from clunk.core.tables import (
+    ABOVE,
+    FORCE,
+    HOLDING,
+    OF_FRICTION,
+    SLIPS_BACKWARD,
+    SLIPS_FORWARD,
+    STICKS,
+    TORQUE,
+    TORQUE_RATE,
+)
 
 _WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
@@ -86,9 +96,8 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     """
     system, x, inputs = at.system, at.x, at.inputs
     count, event, resting, sticking, locked = frictions_of(system), -1, 0, 0, 0
-    for k in range(count):
-        if ended >= 0 and system.guards[regime, ended].functional - rate_of_friction(system, k) in (0, 1):
-            event = k
+    if ended >= 0:  # functionals of frictions are the last
+        event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
     for k in range(count):
         rate, most = _rate(system, system.frictions[k], 0.0, x)
         _, speeds_up = change_of(at, regime, system.frictions[k])

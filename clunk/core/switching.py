@@ -24,7 +24,7 @@ from clunk.core.regimes import (
 )
 from clunk.core.runs import Entry, Log, Moment, Start, begin_wave, record, set_gaps, set_torque
 from clunk.core.status import Status
-from clunk.core.tables import BEYOND, INPUTS, OPEN, TORQUE
+from clunk.core.tables import BEYOND, OPEN, TORQUE
 
 _OK = int(Status.OK)
 _NO_EQUILIBRIUM = int(Status.NO_EQUILIBRIUM)
@@ -91,18 +91,9 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
 @inlined_part
 def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) -> float:
     """What inputs amount to in a regime, each by its weight there and by so much; those not given are 1."""
-    total = by[0] * inputs[0] + by[1] * (system.weights[regime, 1] * inputs[1])
-    for k in range(2, inputs_of(system)):
+    total = by[0] * inputs[0]
+    for k in range(1, inputs_of(system)):
         total += by[k] * (system.weights[regime, k] * (inputs[k] if k < inputs.size else 1.0))
-    return float(total)
-
-
-@inlined_part
-def breakpoint_of(system: System, regime: int, guard: int) -> float:
-    """The breakpoint that a guard of a staged shaft is of, with the sign that it has in the guard  [rad]."""
-    total = -BEYOND
-    for k in range(INPUTS + system.lashes.shape[0] - 1, system.offsets.shape[2]):
-        total += system.offsets[regime, guard, k]
     return float(total)
 
 
@@ -116,8 +107,10 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
         if guard.event_kind == STAGE and guard.successor >= 0:  # what follows where a friction's ends is not known
-            value = breakpoint_of(system, regime, g)
-            scale = abs(value)
+            value = -BEYOND
+            for k in range(inputs_of(system)):
+                value += system.offsets[regime, g, k]
+            scale = abs(value)  # of the breakpoint, with its sign in the guard
             for k in range(x.size):
                 term = guard.sign * system.functionals[0, guard.functional, k] * x[k]
                 value += term

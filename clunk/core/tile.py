@@ -30,7 +30,6 @@ from clunk.core.runs import Log, Outcome, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import window_extremes
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
-from clunk.core.tables import INPUTS, TORQUE, half_gap_of
 
 _OK = int(Status.OK)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
@@ -104,14 +103,6 @@ class _Scratch(NamedTuple):
 
     x: FloatArray  # (N,)  [rad, rad/s]
     primaries: IntArray
-
-
-def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray) -> Cases:
-    """Cells with these torques before the load step, (cells,) [N m], half gaps, (cells, L) [rad], and these loads."""
-    cells, lashes = half_gaps.shape
-    before = np.zeros((cells, INPUTS + lashes - 1))
-    before[:, TORQUE], before[:, [half_gap_of(lash) for lash in range(lashes)]] = torque_before, half_gaps
-    return Cases(before, loads, np.zeros(1, np.int64))
 
 
 class Batch(NamedTuple):
@@ -218,8 +209,7 @@ def by_rk4(
         outcome = rk4.run(system, steps, start, log, room, stop)
         if outcome.status == INTERRUPTED:
             return k, written
-        _copy_log(log, outcome.written, outcome.end, output, k)
-        written += _describe(system, undecided, outcome, log, max_events, cells[k], scratch, output.impacts, written)
+        written += _finish(system, undecided, outcome, log, max_events, output, k, scratch, written)
     return cells.shape[0], written
 
 
@@ -246,7 +236,7 @@ def by_exact(
         Output, where the impacts of each cell from `first` on begin; -1 until the cell is done.
     """
     space, cases, output, scratch = refer(space), refer(cases), refer(output), refer(scratch)
-    cells, impacts, x, pool, over = output.cells, output.impacts, scratch.x, space.pool, space.queues.over
+    cells, x, pool, over = output.cells, scratch.x, space.pool, space.queues.over
     slots = spare = free.size
     admitted, oldest, written, full = first, first, 0, False
     while True:
@@ -274,33 +264,18 @@ def by_exact(
             free[spare] = slot
             spare += 1
             log = log_of(space, slot)
-            _copy_log(log, row.count, row.time, output, k)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
             of_run = system_of(space, slot)
-            primaries = _describe(of_run, undecided, outcome, log, max_events, cells[k], scratch, impacts, written)
+            primaries = _finish(of_run, undecided, outcome, log, max_events, output, k, scratch, written)
             # Room stays free for the oldest, so that every call returns one cell at least. Cells behind one that is not
             # done are run again by the next call.
-            if written + primaries + (0 if k == oldest else max_events) > impacts.size:
+            if written + primaries + (0 if k == oldest else max_events) > output.impacts.size:
                 full = True
                 continue
             begins[k - first] = written
             written += primaries
         pool.length[over] = 0
     return oldest
-
-
-@part
-def _copy_log(log: Log, written: int, end: float, output: Output, k: int) -> None:
-    """Copy the events of a run, and what goes with them, as far as it is wanted."""
-    for i in range(written if output.logs.size > 0 else 0):
-        output.logs[k, i] = log.events[i]
-        for j in range(output.states.shape[2]):
-            output.states[k, i, j] = log.states[i, j]
-        for lash in range(output.extremes.shape[2]):
-            output.extremes[k, i, lash, 0] = log.extremes[i, lash, 0]
-            output.extremes[k, i, lash, 1] = log.extremes[i, lash, 1]
-    if output.ends.size > 0:
-        output.ends[k] = end
 
 
 @part
@@ -326,22 +301,31 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
 
 
 @part
-def _describe(
+def _finish(
     system: System,
     undecided: float,
     outcome: Outcome,
     log: Log,
     max_events: int,
-    cells: Records,
+    output: Output,
+    k: int,
     scratch: _Scratch,
-    impacts: Records,
     first: int,
 ) -> int:
-    """Write the results of a run to its cell, and its primary impacts from `first` on; return how many they are.
+    """Write the results of a run to cell k, and its primary impacts from `first` on; return how many they are.
 
-    Those that there is no room for are left out.
+    Those that there is no room for are left out. Its log is copied as far as that is wanted.
     """
-    nearest, total, count = np.inf, 0, 0
+    for i in range(outcome.written if output.logs.size > 0 else 0):
+        output.logs[k, i] = log.events[i]
+        for j in range(output.states.shape[2]):
+            output.states[k, i, j] = log.states[i, j]
+        for lash in range(output.extremes.shape[2]):
+            output.extremes[k, i, lash, 0] = log.extremes[i, lash, 0]
+            output.extremes[k, i, lash, 1] = log.extremes[i, lash, 1]
+    if output.ends.size > 0:
+        output.ends[k] = outcome.end
+    cells, impacts, nearest, total, count = output.cells[k], output.impacts, np.inf, 0, 0
     for i in range(1, outcome.written):
         count += log.events[i].kind != STAGE
     status = _EVENT_BUFFER_FULL if outcome.status == _OK and count > max_events else outcome.status

@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping
 from itertools import chain
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE, WAVE, WAVE_PARTNER
+from clunk.core.tables import INPUTS, TORQUE, half_gap_of
+from clunk.core.tile import Cases
 from clunk.study.arrays import Floats
-from clunk.study.document import Place
+from clunk.study.document import Place, dotted
 from clunk.study.errors import ConfigError
 from clunk.study.loads import Load
 from clunk.study.study import Study
@@ -163,8 +166,19 @@ def load_step(load: Load) -> tuple[float, float]:
     return float(before[0]), float(pieces[0, -1, LEVEL])
 
 
+def cases_of(study: Study, values: Mapping[str, Numbers] = MappingProxyType({}), count: int = 1) -> Cases:
+    """Torques and gaps of `count` runs with these values of parameters, (count,) each or one for all."""
+    swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
+    torque, pieces = loads_of(study.load, count, **swept)
+    before = np.zeros((count, INPUTS + len(study.lashes) - 1))
+    before[:, TORQUE] = torque
+    for k, (place, lash) in enumerate(zip(study.lash_places, study.lashes, strict=True)):
+        gap = np.asarray(values.get(dotted((*place, "backlash_deg")), lash.backlash_deg), np.float64)
+        before[:, half_gap_of(k)] = np.deg2rad(gap) / 2
+    return Cases(before, pieces, np.zeros(1, np.int64))
+
+
 def run_load(study: Study) -> tuple[Floats, Floats]:
     """Inputs d of a run before its load step  [N m, rad, N m/s], and the pieces of its load, (P, PIECE)."""
-    (torque,), (pieces,) = loads_of(study.load, 1)
-    first, *further = [np.deg2rad(lash.backlash_deg) / 2 for lash in study.lashes]
-    return np.array([torque, first, 0.0, *further]), pieces
+    cases = cases_of(study)
+    return cases.before[0], cases.loads[0]

@@ -14,7 +14,7 @@ from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.simulation import driveline
 from clunk.simulation.batches import prepare_one
-from clunk.simulation.load import run_load, torque_at, wave_rates
+from clunk.simulation.load import cases_of, run_load, torque_at, wave_rates
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
 from clunk.study.records import Rows, as_text
@@ -207,8 +207,7 @@ def simulate(study: Study) -> Trajectory:
     >>> run.events["time"][run.primaries].round(4)  # s after the load step
     array([0.1191, 0.2613, 0.565 ])
     """
-    before, pieces = run_load(study)
-    return run_of(study, tile.Cases(before[None], pieces[None], np.zeros(1, np.int64)))
+    return run_of(study, cases_of(study))
 
 
 def run_of(study: Study, case: tile.Cases) -> Trajectory:

@@ -23,10 +23,9 @@ from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation.batches import most_prepared, prepare_many, prepare_one
-from clunk.simulation.load import WAVES, loads_of
+from clunk.simulation.load import WAVES, cases_of
 from clunk.study.arrays import Array, Cells, Floats, Records
 from clunk.study.designs import Design, design_of
-from clunk.study.document import dotted
 from clunk.study.models import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study
 
@@ -174,15 +173,6 @@ class Grid:
             self._kept |= {rows[k]: (batch, number) for number, k in enumerate(missing[positions].tolist())}
             yield batch, numbers
 
-    def cases(self, values: Mapping[str, float | Floats], count: int) -> kernel.Cases:
-        """Torques and gaps of `count` cells with these values of parameters."""
-        swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
-        before, pieces = loads_of(self.study.load, count, **swept)
-        gaps = np.empty((count, len(self.study.lashes)))
-        for k, (place, lash) in enumerate(zip(self.study.lash_places, self.study.lashes, strict=True)):
-            gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
-        return kernel.cases_of(before, np.deg2rad(gaps) / 2, pieces)
-
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         return self.run_at(cells, self.design.columns(cells), stop)
@@ -268,7 +258,8 @@ class Grid:
             all_positions = np.flatnonzero(of_cells >= 0)
             for begin in range(0, all_positions.size, most):
                 positions = all_positions[begin : begin + most]
-                cases = self.cases({key: column[positions] for key, column in values.items()}, positions.size)
+                some = {key: column[positions] for key, column in values.items()}
+                cases = cases_of(self.study, some, positions.size)
                 yield batch, positions, cases._replace(drivelines=of_cells[positions])
 
     def _run(
