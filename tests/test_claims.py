@@ -19,7 +19,6 @@ from clunk.simulation.small_gap import (
     one_mode_thresholds,
     periods_in_envelope,
     rigid_contact_thresholds,
-    thresholds_on,
 )
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
@@ -193,18 +192,6 @@ def test_thresholds_of_random_chains_are_where_the_locked_model_gains_an_impact(
                 assert run.label == f"DS({k})"
                 checked += 1
     assert checked >= 20
-
-
-def test_thresholds_follow_the_torque_that_is_swept(nominal):
-    ratios = one_mode_thresholds(nominal)
-    torques = study_from_text(
-        '[driveline]\npreset = "boere-2008"\n[load]\ninitial_torque = -6.0\nfinal_torque = -1.0\n'
-    )
-    assert thresholds_on(torques, "load.initial_torque", ratios) == pytest.approx(-(1 + ratios))
-    assert thresholds_on(torques, "load.final_torque", ratios) == pytest.approx(-6.0 / (1 + ratios))
-    assert thresholds_on(torques, "lash.backlash_deg", ratios).size == 0
-    pulse = torques.load.model_copy(update={"profile": "pulse", "duration": 0.1})
-    assert thresholds_on(torques.model_copy(update={"load": pulse}), "load.final_torque", ratios).size == 0
 
 
 def test_a_driveline_whose_load_does_not_reach_the_lash_has_no_thresholds():

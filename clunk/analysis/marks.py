@@ -11,22 +11,19 @@ from clunk.study.study import replace_values
 def thresholds_of(results: Map) -> list[float]:
     """Values of the swept load at which one more impact appears as the backlash vanishes, by all modes when locked.
 
-    They are those of the first load ratio or torque that changes, for a driveline in which all other keys have the
-    values of these results; empty where there is none, where shafts have friction, of which the linear view knows
-    nothing, and of several lashes, which do not open one by one.
+    They are those of the load ratio, for a driveline in which all other keys have the values of these results; empty
+    where that does not change, where shafts have friction, of which the linear view knows nothing, and of several
+    lashes, which do not open one by one.
     """
-    changing = (axis.parameter for axis in results.axes if len(axis.values) > 1)
-    parameter = next((name for name in changing if name.startswith("load.")), None)
-    if results.lashes or parameter is None:
+    if results.lashes or "load.ratio" not in [axis.parameter for axis in results.axes if len(axis.values) > 1]:
         return []
     study = study_from_text(results.config, source="the results file's config")
     if study.load.profile != "step" or any(shaft.friction for shaft in study.driveline.shafts):
         return []
-    from clunk.simulation.small_gap import rigid_contact_thresholds, thresholds_on  # 0.3 s, for no other map
+    from clunk.simulation.small_gap import rigid_contact_thresholds  # 0.3 s, for no other map
 
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
-    study = replace_values(study, fixed)
-    return [float(value) for value in thresholds_on(study, parameter, rigid_contact_thresholds(study))]
+    return [float(ratio) for ratio in rigid_contact_thresholds(replace_values(study, fixed))]
 
 
 def ridge_of(values: Floats) -> Floats:

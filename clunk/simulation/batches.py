@@ -58,10 +58,12 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
         return
     design_of_points(study, dict(zip(parameters, values.T, strict=True)))  # which refuses values that are not allowed
     keys = [located(study, parameter) for parameter in parameters]
-    # what is no spring, damper or friction where it is zero, and whole numbers, make another kind of driveline
-    kinds = np.stack([_kinds(key.whole, place, values[:, k]) for k, (place, key, _) in enumerate(keys)], axis=-1)
-    _, kind_of = np.unique(kinds, axis=0, return_inverse=True)
     places = [place for place, _, _ in keys]
+    # what is no spring, damper or friction where it is zero, no gear where it is 1, and whole numbers, make another
+    # kind of driveline
+    is_ratio, is_whole = [place[-1] == "ratio" for place in places], [key.whole for _, key, _ in keys]
+    signs = np.where(is_ratio & (np.abs(values) == 1.0), 2.0, 1.0) * np.sign(values)
+    _, kind_of = np.unique(np.where(is_whole, values, signs), axis=0, return_inverse=True)
     for kind in range(kind_of.max() + 1):
         yield from _prepare_alike(study, parameters, places, values, np.flatnonzero(kind_of.ravel() == kind))
 
@@ -70,13 +72,6 @@ def most_prepared(study: Study) -> int:
     """Most drivelines of a batch of a study's: what they take in memory is bounded, however many flows each has."""
     entries = count_of_flows(study) * (2 * len(study.driveline.inertias)) ** 2
     return min(_MEASURED if study.measured else _MOST, max(1, _ENTRIES // entries))
-
-
-def _kinds(whole: bool, place: Place, values: Floats) -> Floats:
-    """A number for each value of a key, the same for values that make drivelines of one kind."""
-    if whole:
-        return values
-    return np.where((place[-1] == "ratio") & (np.abs(values) == 1.0), 2.0, 1.0) * np.sign(values)
 
 
 def _prepare_alike(

@@ -19,7 +19,7 @@ from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
 from clunk.core.tables import Friction, StagedShaft, stages_of
 from clunk.simulation import rigid
-from clunk.simulation.load import is_moving, run_load, wave_rates
+from clunk.simulation.load import run_load, wave_rates
 from clunk.simulation.phases import preload
 from clunk.study.document import Place
 from clunk.study.errors import ClunkError
@@ -29,7 +29,7 @@ from clunk.study.study import Study
 FloatArray = npt.NDArray[np.float64]
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
-_FAST = 1e6  # rate of a load's wave by the end time: the shorter ladder of spans ends at some hundredth of it
+_FAST = 1e6  # rate of a load's wave by the end time: it is over, or turns, long before a run ends
 _ROUNDING = 1e-14  # of the terms of a sum that cancel
 _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
@@ -254,7 +254,7 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
     """
     driveline = driveline or Driveline.from_study(study)
     rates = wave_rates(study.load, driveline.varied)
-    is_ramp = rates is None and is_moving(study.load)
+    is_ramp = study.load.profile in ("ramp", "table")
     staged, motions = [shaft for _, shaft in driveline.staged], driveline.rigid_motion.shape.shape[-1]
     return build_system(
         inertia=driveline.inertia,
@@ -300,7 +300,6 @@ def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[Flo
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
-    restitution = study.lashes[0].contact.model == "restitution"
     rubbing, chains = [friction.twist[..., None, :] for friction, _ in driveline.frictions], []
     twists = np.concatenate([driveline.lashes, *rubbing], axis=-2)
     for (closed, stages, stuck), of_flow in _chains(study, driveline).items():
@@ -310,21 +309,14 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
         else:
             tied = twists[..., np.array([*closed, *stuck]) > 0, :]
             parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
-        ties = constrained(twists, [*(restitution * lash for lash in closed), *stuck])
+        ties = constrained(twists, [*(system.impulsive * lash for lash in closed), *stuck])
         chains.append(_chain(driveline.inertia, *of_flow, ties, parts))
     held = tables.held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
-    spans = MORE_SPANS if alike(_is_fast(study, driveline), 0) else SPANS
+    rates, spans = wave_rates(study.load, driveline.varied), SPANS
+    if rates is not None and alike(np.abs(rates).max(axis=(-2, -1)) * system.end_time[..., 0] > _FAST, 0):
+        spans = MORE_SPANS
     matrices = system.rates, system.inputs, system.functionals, system.feedthrough
     return build_flows(*matrices, chains, held, system.drift, spans)
-
-
-def _is_fast(study: Study, driveline: Driveline) -> npt.NDArray[np.bool_]:
-    """Whether the load's wave is over, or turns, long before a run ends."""
-    rates = wave_rates(study.load, driveline.varied)
-    if rates is None:
-        return np.array(False)
-    end_time = driveline.varied.get(("solver", "end_time"), study.solver.end_time)
-    return np.asarray(np.abs(rates).max(axis=(-2, -1)) * end_time > _FAST)
 
 
 def _chain(

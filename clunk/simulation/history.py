@@ -27,7 +27,6 @@ from clunk.study.models import Lash
 from clunk.study.study import Study
 
 LARGEST = 10_000_000  # samples; of the nominal driveline about 1.3 GB
-INITIAL, NONE, OPPOSITE = -1, 0, 1  # of `contact`, as of impact_flank in a results file
 
 _NEAR = 1e-6  # of a step: a sample this near to an event would only repeat it
 _FAINT = 0.125  # of the first swing: what is left of the slowest oscillation where a picture may end

@@ -140,11 +140,6 @@ def wave_rates(load: Load, varied: Mapping[Place, Floats] | None = None) -> Floa
     return np.stack([np.stack([-decay, swing], axis=-1), np.stack([-swing, -decay], axis=-1)], axis=-2)
 
 
-def is_moving(load: Load) -> bool:
-    """Whether the torque can change in any other way than by jumps."""
-    return load.profile not in ("step", "pulse", "steps")
-
-
 def torque_at(pieces: Floats, rates: Floats | None, time: Floats) -> Floats:
     """The torque at times after the load step, (m,)  [N m]; where it jumps, the one after the jump.
 

@@ -100,17 +100,10 @@ def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats
     return np.concatenate([x[:size], _exponential((begin - piece[BEGIN]) * system.rates[0, size:, size:]) @ wave])
 
 
-def generator(regime: Regime) -> Floats:
-    """(N + 1, N + 1) M of a regime."""
-    size = regime.forcing.size
-    matrix = np.zeros((size + 1, size + 1))
-    matrix[:size, :size], matrix[:size, size] = regime.rates, regime.forcing
-    return matrix
-
-
 def states(regime: Regime, x: Floats, offset: float, step: float, count: int) -> Floats:
     """(count, N) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
-    matrix, z = generator(regime), np.empty((count, x.size + 1))
+    matrix, z = np.zeros((x.size + 1, x.size + 1)), np.empty((count, x.size + 1))
+    matrix[:-1, :-1], matrix[:-1, -1] = regime.rates, regime.forcing
     z[0], filled = _exponential(offset * matrix) @ np.append(x, 1.0), 1
     power = _exponential(step * matrix) if count > 1 else matrix
     while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows

@@ -173,20 +173,3 @@ def levels_of_excursions(extremes: Floats, count: int) -> Floats:
         while len(levels) < min(excursions, count):
             levels.append(-1.0 / level)
     return np.array(levels, dtype=np.float64)
-
-
-def thresholds_on(study: Study, parameter: str, ratios: Floats) -> Floats:
-    """Threshold load ratios as values of a swept torque of an ideal step; empty for any other parameter or load.
-
-    σr is (T before - T after) / T after, whichever of the two torques is swept.
-    """
-    load = study.load
-    if load.profile != "step":
-        return np.empty(0)
-    if parameter == "load.ratio":
-        return ratios
-    if parameter == "load.initial_torque" and load.final_torque:
-        return (1.0 + ratios) * load.final_torque
-    if parameter == "load.final_torque" and load.initial_torque:
-        return load.initial_torque / (1.0 + ratios)
-    return np.empty(0)
