@@ -16,7 +16,7 @@ def preload(
     lashes: FloatArray,
     gaps: FloatArray,
     momentum: FloatArray,
-    compliance: FloatArray,
+    compliance: FloatArray | float,
 ) -> tuple[FloatArray, FloatArray]:
     """Angles θ in steady motion with all lashes closed, and the torque τ across each lash, signed like q.
 
@@ -34,7 +34,7 @@ def preload(
         s φ/2 of each lash, by each of the inputs.
     momentum : (n, 0 or 1) float64
         Of the rigid-body motion: of the angles that differ by it, those are taken that have none of it in sum.
-    compliance : (L,) float64  [rad/(N m)]
+    compliance : (L,) float64, or one for all  [rad/(N m)]
         Of each contact; 0 locks q.
 
     Returns

@@ -33,8 +33,7 @@ from clunk.core.tables import (
     TORQUE,
     FlowOf,
     Friction,
-    Lash,
-    Number,
+    Lashes,
     StagedShaft,
     build_tables,
     functionals_of,
@@ -243,8 +242,8 @@ def build_system(
     inertia: FloatArray,
     chains: Mapping[FlowOf, tuple[FloatArray, FloatArray]],
     load: FloatArray,
-    lashes: Sequence[Lash],
-    end_time: Number,
+    lashes: Lashes,
+    end_time: FloatArray,
     rigid: RigidMotion,
     wave_rates: FloatArray | None,
     ramps: bool,
@@ -265,9 +264,8 @@ def build_system(
         Damping and stiffness in each flow, in the order of their numbers, without its constraints.
     load : (n,) float64
         1 at the loaded inertia.
-    lashes : of Lash
-        All of the restitution model, or none.
-    end_time : float  [s]
+    lashes : Lashes
+    end_time : (1,) float64  [s]
     rigid : RigidMotion
         Of the driveline with its lashes closed.
     wave_rates : (2, 2) float64, optional  [1/s]
@@ -281,10 +279,11 @@ def build_system(
         not so in others.
     frictions : of Friction
     """
-    (*batch, n), count, stride = inertia.shape, len(lashes), functionals_of(lashes)
+    (*batch, n), twists, stride = inertia.shape, lashes.twists, functionals_of(lashes)
     speeds, mechanical, wave = slice(n, 2 * n), 2 * n, 0 if wave_rates is None else 2
-    impulsive, constants = lashes[0].restitution is not None, INPUTS + count - 1
-    rubbing, twists = constants + len(staged), np.stack([lash.twist for lash in lashes], axis=-2)
+    count, impulsive = twists.shape[-2], lashes.are_rigid
+    constants, pressing = INPUTS + count - 1, lashes.stiffness[..., None] * twists
+    rubbing = constants + len(staged)
     driven, every = rubbing + OF_FRICTION * len(frictions), list(chains)
     impulse, passed = _impacts(inertia, twists, 2**count if impulsive and count > 1 else 1)
     tied = np.concatenate([twists, *(friction.twist[..., None, :] for friction in frictions)], axis=-2)
@@ -301,9 +300,9 @@ def build_system(
 
     def flow_of(flow: int) -> tuple[FloatArray, FloatArray]:
         rates, inputs = chain(inertia, *chains[every[flow]], load, driven, wave)
-        for k, lash in enumerate(lashes):
+        for k in range(count):
             if every[flow].closed[k] and not impulsive:
-                inputs[..., speeds, half_gap_of(k)] = lash.stiffness[..., None] * lash.twist / inertia
+                inputs[..., speeds, half_gap_of(k)] = pressing[..., k, :] / inertia
         for k, shaft in enumerate(staged, constants):
             inputs[..., speeds, k] = -shaft.twist / inertia
         for k, friction in enumerate(frictions):
@@ -328,16 +327,16 @@ def build_system(
         feedthrough[..., flow, functional, :] = _across(twist, inputs[..., others, speeds, :]) / yielding
         return True
 
-    for k, lash in enumerate(lashes):
+    for k, inertia_watched in enumerate(lashes.acceleration_of):
         of_lash, fed = functionals[..., k * stride :, :], feedthrough[..., k * stride :, :]
-        of_lash[..., GAP, :n] = lash.twist[..., None, :]
-        of_lash[..., ACCELERATION, :] = rates[..., n + lash.acceleration_of, :]
-        fed[..., ACCELERATION, :] = inputs[..., n + lash.acceleration_of, :]
+        of_lash[..., GAP, :n] = twists[..., k, None, :]
+        of_lash[..., ACCELERATION, :] = rates[..., n + inertia_watched, :]
+        fed[..., ACCELERATION, :] = inputs[..., n + inertia_watched, :]
         for flow in flows if impulsive else ():  # the torque that locks it, also where nothing does
             set_holding(flow, k, k * stride + FORCE)
-        if lash.separation_by_force and not impulsive:
-            of_lash[..., FORCE, :n] = (lash.stiffness[..., None] * lash.twist)[..., None, :]
-            of_lash[..., FORCE, speeds] = (lash.damping[..., None] * lash.twist)[..., None, :]
+        if lashes.separation_by_force[k] and not impulsive:
+            of_lash[..., FORCE, :n] = pressing[..., k, None, :]
+            of_lash[..., FORCE, speeds] = (lashes.damping[..., None] * twists)[..., k, None, :]
     for k, shaft in enumerate(staged, count * stride):
         functionals[..., k, :n] = shaft.twist[..., None, :]
     excess = np.zeros(len(every), np.int64)
@@ -363,7 +362,7 @@ def build_system(
     for k, shaft in enumerate(staged, constants):
         torques[..., k] = -shaft.twist
     gaps[range(count), [half_gap_of(k) for k in range(count)]] = 1.0
-    compliance = _of_lashes([0.0 if impulsive else 1.0 / lash.stiffness for lash in lashes])
+    compliance = 0.0 if impulsive else 1.0 / lashes.stiffness
     momentum = inertia[..., None] * rigid.shape
     for k, is_loose in enumerate(loose if motions <= 1 else ()):
         if is_loose:
@@ -396,19 +395,17 @@ def build_system(
         impulsive=int(impulsive),
         impulse=by_speeds(impulse),
         passed=passed,
-        restitution=_of_lashes([0.0 if lash.restitution is None else lash.restitution for lash in lashes], batch),
-        locking_speed=_of_lashes(
-            [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
-        ),
-        frictions=joints[..., count:, :].copy(),
-        friction_torques=_of_lashes([friction.most for friction in frictions], batch),
+        restitution=lashes.restitution,
+        locking_speed=lashes.locking_speed,
+        frictions=joints[..., count:, :],
+        friction_torques=np.array([each.most for each in frictions]).reshape(len(frictions), *batch).T.copy(),
         excess=excess,
         preload=steady,
         contact_torque=carried,
         drift=drift,
         first_rolling=int(alike(rolling.any(axis=-1)).argmax()) if rolling.size else -1,
-        end_time=_of_lashes([end_time], batch),
-        sticking_time=_of_lashes([lash.sticking_time for lash in lashes], batch),
+        end_time=end_time,
+        sticking_time=lashes.sticking_time,
         status=int(status),
     )
 
@@ -431,13 +428,6 @@ def _impacts(inertia: FloatArray, twists: FloatArray, sets: int) -> tuple[FloatA
             change[..., held, lash, :] = np.einsum("...k,...kn->...n", impulses, across)
             passed[..., held, lash, [lash, *bits]] = impulses
     return change, passed
-
-
-def _of_lashes(numbers: Sequence[FloatArray | float], batch: Sequence[int] = ()) -> FloatArray:
-    """(…, L) a number of each lash, or of each of some other things."""
-    if not numbers:
-        return np.zeros((*batch, 0))
-    return np.stack([np.broadcast_to(number, batch or np.shape(number)) for number in numbers], axis=-1, dtype=float)
 
 
 def _across(twist: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -93,26 +93,30 @@ GUARD = np.dtype(
 )
 
 
-class Lash(NamedTuple):
-    """A lash with its contact, and what is asked of it.
+class Lashes(NamedTuple):
+    """The L lashes of a driveline with their contacts, and what is asked of them.
 
-    twist : (n,) float64, q = twist · θ
-    stiffness, damping : () or (D,) float64 in a batch of drivelines, of the contact  [N m/rad], [N m s/rad]
-    acceleration_of : int, index from 0 of the inertia whose acceleration is watched
-    sticking_time : float, a longer contact is sticking  [s]
-    separation_by_force : bool
-    restitution : float, e of the restitution model; without it the contact is the spring and damper of indentation
-    locking_speed : float, a rebound not faster than this locks  [rad/s]; None for `regimes.LOCKING_SHARE`
+    twists : (L, n) float64, q of each = row · θ
+    stiffness, damping : (L,) float64, of each contact  [N m/rad], [N m s/rad]
+    are_rigid : bool, contacts are of the restitution model, and else the springs and dampers of indentation
+    separation_by_force : (L,) of bool
+    restitution : (L,) float64, e of the restitution model
+    locking_speed : (L,) float64, a rebound not faster than this locks, see `regimes.System`  [rad/s]
+    sticking_time : (L,) float64, a longer contact is sticking  [s]
+    acceleration_of : (L,) of int, index from 0 of the inertia whose acceleration is watched
+
+    In a batch of drivelines float64 have an axis more in front; twists may have it.
     """
 
-    twist: FloatArray
+    twists: FloatArray
     stiffness: FloatArray
     damping: FloatArray
-    acceleration_of: int
-    sticking_time: Number
-    separation_by_force: bool = False
-    restitution: Number | None = None
-    locking_speed: Number | None = None
+    are_rigid: bool
+    separation_by_force: Sequence[bool]
+    restitution: FloatArray
+    locking_speed: FloatArray
+    sticking_time: FloatArray
+    acceleration_of: Sequence[int]
 
 
 class StagedShaft(NamedTuple):
@@ -140,7 +144,7 @@ class StagedShaft(NamedTuple):
     def energy(self, twist: float) -> float:
         """Energy stored at a twist  [J]."""
         low, high = min(twist, 0.0), max(twist, 0.0)
-        nodes = np.array([low, *(b for b in self.breakpoints.tolist() if low < b < high), high])
+        nodes = np.unique(np.clip([0.0, *self.breakpoints, twist], low, high))
         stages = np.searchsorted(self.breakpoints, nodes)
         torques = self.stiffness[stages] * nodes + self.torques[stages]
         return float(np.sign(twist) * np.sum((torques[1:] + torques[:-1]) * np.diff(nodes)) / 2.0)
@@ -194,11 +198,11 @@ class _Element(NamedTuple):
     input: int  # its half gap, or a 1
 
 
-def _lash_states(lash: Lash) -> list[_State]:
-    by_force, is_rigid = lash.separation_by_force, lash.restitution is not None
+def _lash_states(lashes: Lashes, k: int) -> list[_State]:
+    by_force, stiffness = lashes.separation_by_force[k], lashes.stiffness[..., k]
     # At a touch the overlap is zero, but the contact force is c q' > 0, if there is damping; of rigid flanks it is
     # decided what follows. These leave with value, slope and curvature of the gap zero.
-    order = 0 if is_rigid or (by_force and np.all(lash.damping > 0.0)) else 1
+    order = 0 if lashes.are_rigid or (by_force and np.all(lashes.damping[..., k] > 0.0)) else 1
     touches = [
         _Guard(GAP, -side, 1.0, closed, TOUCH, 0 if order else -1, order, makes_margin=True)
         for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE))
@@ -206,14 +210,14 @@ def _lash_states(lash: Lash) -> list[_State]:
     states, parted_states = [_State(0, 0, touches, of_gap=2.0, of_rest=0.0)], []
     for reached, side in enumerate((1, -1)):  # the open state's guard of that flank
         overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, reached, 1, makes_margin=True)
-        if is_rigid:
+        if lashes.are_rigid:
             states.append(_State(1, side, [overlap._replace(functional=FORCE, offset=0.0, zero_order=3)]))
         elif by_force:
             # the flanks may press less than nothing on each other; a miss is near where they all but cease to overlap
             closed, parted = CLOSED_POSITIVE + reached, PARTED_POSITIVE + reached
-            force = _Guard(FORCE, side, -lash.stiffness, parted, SEPARATION, 1, 1)
+            force = _Guard(FORCE, side, -stiffness, parted, SEPARATION, 1, 1)
             states.append(_State(1, side, [force], (_Guard(GAP, side, -1.0, makes_margin=True),)))
-            rejoin = _Guard(FORCE, -side, lash.stiffness, closed, REJOIN, 0, 1)
+            rejoin = _Guard(FORCE, -side, stiffness, closed, REJOIN, 0, 1)
             parted_states.append(_State(0, side, [overlap._replace(event_kind=OPENING), rejoin]))
         else:
             states.append(_State(1, side, [overlap]))
@@ -250,9 +254,9 @@ def held_inputs(lashes: int, frictions: int, inputs: int) -> list[int]:
     return [*map(half_gap_of, range(lashes)), *(inputs - OF_FRICTION * k + 1 for k in range(frictions, 0, -1))]
 
 
-def functionals_of(lashes: Sequence[Lash]) -> int:
+def functionals_of(lashes: Lashes) -> int:
     """How many functionals each lash has."""
-    return 3 if any(lash.separation_by_force or lash.restitution is not None for lash in lashes) else 2
+    return 3 if lashes.are_rigid or any(lashes.separation_by_force) else 2
 
 
 def combinations(counts: Sequence[int]) -> list[tuple[int, ...]]:
@@ -296,13 +300,14 @@ class Tables(NamedTuple):
 
 
 def build_tables(
-    lashes: Sequence[Lash], staged: Sequence[StagedShaft], frictions: Sequence[Friction], batch: Sequence[int]
+    lashes: Lashes, staged: Sequence[StagedShaft], frictions: Sequence[Friction], batch: Sequence[int]
 ) -> Tables:
     """The tables of all combinations of states; batch : (D,) of a batch of drivelines, else ()."""
-    count, stride, constants = len(lashes), functionals_of(lashes), INPUTS + len(lashes) - 1
+    count, stride = lashes.twists.shape[-2], functionals_of(lashes)
+    constants = INPUTS + count - 1
     rates, rubbing = count * stride + len(staged), constants + len(staged)
     elements = [
-        *(_Element(_lash_states(lash), k * stride, half_gap_of(k)) for k, lash in enumerate(lashes)),
+        *(_Element(_lash_states(lashes, k), k * stride, half_gap_of(k)) for k in range(count)),
         *(_Element(_stages(shaft), count * stride + k, constants + k) for k, shaft in enumerate(staged)),
         *(
             _Element(_slips(friction), rates + OF_FRICTION * k, rubbing + OF_FRICTION * k)

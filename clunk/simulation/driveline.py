@@ -14,7 +14,7 @@ from clunk.core import tables
 from clunk.core.batches import alike
 from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked
-from clunk.core.regimes import RigidMotion, System, build_system, rubs
+from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, rubs
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
 from clunk.core.tables import Friction, StagedShaft, stages_of
@@ -260,8 +260,8 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
         inertia=driveline.inertia,
         chains=_chains(study, driveline),
         load=driveline.load,
-        lashes=[_core_lash(study, driveline, k) for k in range(len(study.lashes))],
-        end_time=driveline.varied.get(("solver", "end_time"), study.solver.end_time),
+        lashes=_core_lashes(study, driveline),
+        end_time=_numbers(driveline.varied, [("solver", "end_time")], [study.solver.end_time]),
         rigid=driveline.rigid_motion,
         wave_rates=np.array([[0.0, 1.0], [0.0, 0.0]]) if is_ramp and not ramps else rates,
         ramps=is_ramp and ramps,
@@ -271,22 +271,26 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
     )
 
 
-def _core_lash(study: Study, driveline: Driveline, k: int) -> tables.Lash:
-    """A lash as the core has it."""
-    contact, place = study.lashes[k].contact, (*study.lash_places[k], "contact")
-    restitution, varied = contact.model == "restitution", driveline.varied
-    sticking_time = varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
-    if sticking_time is None:
-        sticking_time = driveline.contact_periods[..., k]
-    return tables.Lash(
-        twist=driveline.lashes[..., k, :],
-        stiffness=driveline.contact_stiffnesses[..., k],
-        damping=driveline.contact_dampings[..., k],
-        acceleration_of=study.watched[k] - 1,
-        sticking_time=0.0 if restitution else sticking_time,  # the locked state itself is sticking
-        separation_by_force=contact.separation == "force",
-        restitution=varied.get((*place, "restitution"), contact.restitution) if restitution else None,
-        locking_speed=varied.get((*place, "locking_speed"), contact.locking_speed),
+def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
+    """The lashes as the core has them."""
+    contacts, varied, periods = [lash.contact for lash in study.lashes], driveline.varied, driveline.contact_periods
+
+    def numbers(key: str, own: Sequence[float]) -> FloatArray:
+        return _numbers(varied, [(*place, "contact", key) for place in study.lash_places], own)
+
+    are_rigid = contacts[0].model == "restitution"  # whose locked state itself is sticking
+    sticking = 0.0 if are_rigid else varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
+    locking_speeds = [each.locking_speed for each in contacts]
+    return tables.Lashes(
+        twists=driveline.lashes,
+        stiffness=driveline.contact_stiffnesses,
+        damping=driveline.contact_dampings,
+        are_rigid=are_rigid,
+        separation_by_force=[each.separation == "force" for each in contacts],
+        restitution=numbers("restitution", [each.restitution or 0.0 for each in contacts]),
+        locking_speed=numbers("locking_speed", [-LOCKING_SHARE if each is None else each for each in locking_speeds]),
+        sticking_time=periods if sticking is None else np.full(periods.shape, np.asarray(sticking)[..., None]),
+        acceleration_of=[number - 1 for number in study.watched],
     )
 
 
