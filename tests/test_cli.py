@@ -297,13 +297,6 @@ def test_tables_of_a_long_driveline_fit_a_terminal(command, name):
     assert max(map(len, (out + err).splitlines())) <= 80
 
 
-def test_events_tell_the_load_at_their_time(command):
-    overrides = ["--set", "load.profile=ramp", "--set", "load.duration=0.2"]
-    record = json.loads(command("simulate", ROOT / "configs/nominal.toml", *overrides, "--json")[1])
-    for event in record["events"]:
-        assert event["load"] == pytest.approx(-6.0 + 5.0 * min(event["time"] / 0.2, 1.0))
-
-
 def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(command):
     # 258 Hz damped by 0.196 swing at 253 Hz: 3.9 steps of 1 ms a period, 39.5 of 0.1 ms
     _, _, err = command("simulate", ROOT / "configs/nominal.toml", "--set", "solver.step=1e-3")

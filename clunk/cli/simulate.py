@@ -154,7 +154,7 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
     """A run and its energies in J; of several lashes `lashes` has what is of each, by name."""
     from clunk.simulation.energy import balance
 
-    primaries, load = {k for each in trajectory.lashes for k in each.primaries.tolist()}, trajectory.load
+    primaries = {k for each in trajectory.lashes for k in each.primaries.tolist()}
     several, names = len(trajectory.lashes) > 1, trajectory.study.lash_names
     of_lashes = {
         name: {
@@ -177,7 +177,6 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
                 **({"lash": trajectory.lash_name(k)} if several else {}),
                 "flank": trajectory.flank_name(k),
                 "relative_velocity": float(event["speed"]),
-                "load": float(load[k]),
                 "primary": k in primaries,
             }
             for k, event in enumerate(trajectory.events)

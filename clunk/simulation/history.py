@@ -38,7 +38,6 @@ class Touches(NamedTuple):
     row: Positions  # (E,) rows of the history
     side: Integers  # (E,) sign of q at the flank
     primary: Bools  # (E,)
-    until: Floats  # (E,) s after the load step, of the event that follows
 
 
 class Impact(NamedTuple):
@@ -139,8 +138,7 @@ class History:
         happened = events[self.event[row]]
         row = row[(happened["kind"] == TOUCH) & (happened["lash"] == self.trajectory.lash)]
         k = self.event[row]
-        primary = np.isin(k, self.trajectory.primaries)
-        return Touches(row, events["side"][k], primary, events["time"][np.minimum(k + 1, events.size - 1)])
+        return Touches(row, events["side"][k], np.isin(k, self.trajectory.primaries))
 
     @cached_property
     def impacts(self) -> tuple[Impact, ...]:
@@ -254,7 +252,6 @@ class _Phase(NamedTuple):
     time: Floats  # (m,)  s after the load step
     state: Floats  # (m, N)  rad, rad/s, and the load's wave
     regime: Regime
-    flow: int
     event: int  # that the phase begins with, or -1
 
     def observed(self, line: Driveline, system: System) -> tuple[Floats, Floats, Integers, Floats]:
@@ -262,7 +259,7 @@ class _Phase(NamedTuple):
         state, regime, n = self.state, self.regime, system.inertias
         contact_torques = np.zeros((len(state), regime.closed.size))
         for lash in np.flatnonzero(regime.closed).tolist():
-            across = torque_across(line, driveline_at(system, None), self.flow, lash)[0]
+            across = torque_across(line, driveline_at(system, None), regime.flow, lash)[0]
             by_state, by_inputs = np.split(across, [state.shape[1]])
             contact_torques[:, lash] = apply(by_state[None], state)[:, 0] + by_inputs @ regime.inputs
         acceleration = apply(regime.rates[n : 2 * n], state) + regime.forcing[n : 2 * n]
@@ -278,9 +275,8 @@ def _before_load_step(
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
-    number = int(trajectory.events["regime"][0])
-    flow = int(system.regimes[number]["flow"])
-    return _Phase(time, state + 0.0, regime_under(system, number, inputs), flow, -1)  # no -0.0
+    regime = regime_under(system, int(trajectory.events["regime"][0]), inputs)
+    return _Phase(time, state + 0.0, regime, -1)  # no -0.0
 
 
 def _after_event(
@@ -302,8 +298,7 @@ def _after_event(
                 last[0, : recorded.shape[1]] = recorded[k + 1]
             sampled.append(np.array([until]))
             parts.append(last)
-        flow = int(system.regimes[number]["flow"])
-        yield _Phase(np.concatenate(sampled), np.concatenate(parts), regime, flow, event)
+        yield _Phase(np.concatenate(sampled), np.concatenate(parts), regime, event)
         event = -1
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE, WAVE, WAVE_PARTNER
+from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE
 from clunk.core.tables import INPUTS, TORQUE, half_gap_of
 from clunk.core.tile import Cases
 from clunk.study.arrays import Floats
@@ -138,21 +138,6 @@ def wave_rates(load: Load, varied: Mapping[Place, Floats] | None = None) -> Floa
         decay = 1.0 / _divisor(value)
     decay = np.where((swing == 0.0) & (decay == 0.0), 1.0, decay)  # a step: its wave, zero, may have any rate
     return np.stack([np.stack([-decay, swing], axis=-1), np.stack([-swing, -decay], axis=-1)], axis=-2)
-
-
-def torque_at(pieces: Floats, rates: Floats | None, time: Floats) -> Floats:
-    """The torque at times after the load step, (m,)  [N m]; where it jumps, the one after the jump.
-
-    pieces : (P, PIECE); rates : as from `wave_rates`; time : (m,)  [s]
-    """
-    piece = pieces[np.searchsorted(pieces[:, BEGIN], time, side="right") - 1].T
-    after_begin = time - piece[BEGIN]
-    torque: Floats = piece[LEVEL] + piece[SLOPE] * after_begin
-    if rates is not None:
-        angle = rates[0, 1] * after_begin
-        swing = piece[WAVE] * np.cos(angle) + piece[WAVE_PARTNER] * np.sin(angle)
-        torque += np.exp(rates[0, 0] * after_begin) * swing
-    return torque
 
 
 def load_step(load: Load) -> tuple[float, float]:

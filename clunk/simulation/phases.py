@@ -23,6 +23,7 @@ from clunk.study.arrays import Floats, Integers
 class Regime(NamedTuple):
     """A regime under constant inputs: x' = rates · x + forcing; N states, x = (θ, θ')."""
 
+    flow: int  # its number
     rates: Floats  # (N, N)
     forcing: Floats  # (N,)
     inputs: Floats  # (I,)  u, each by the regime's weight
@@ -32,9 +33,9 @@ class Regime(NamedTuple):
 
 def regime_under(system: System, number: int, inputs: Floats) -> Regime:
     """One of the regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
-    flow, contacts, u = system.regimes[number]["flow"], system.contacts[number], system.weights[number].copy()
+    flow, contacts, u = int(system.regimes[number]["flow"]), system.contacts[number], system.weights[number].copy()
     u[: inputs.size] *= inputs  # the others are 1
-    return Regime(system.rates[flow], system.inputs[flow] @ u, u, contacts["side"], contacts["closed"])
+    return Regime(flow, system.rates[flow], system.inputs[flow] @ u, u, contacts["side"], contacts["closed"])
 
 
 class Preload(NamedTuple):

@@ -83,8 +83,9 @@ class SmallGap(NamedTuple):
         step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
-        state = states(regime_under(system, rest.regime, after), rest.x, 0.0, step, time.size)
-        across = torque_across(driveline, driveline_at(system, None), system.regimes[rest.regime]["flow"], 0)[0]
+        regime = regime_under(system, rest.regime, after)
+        state = states(regime, rest.x, 0.0, step, time.size)
+        across = torque_across(driveline, driveline_at(system, None), regime.flow, 0)[0]
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time
         return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)

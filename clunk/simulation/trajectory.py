@@ -14,7 +14,7 @@ from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.simulation import driveline
 from clunk.simulation.batches import prepare_one
-from clunk.simulation.load import cases_of, run_load, torque_at, wave_rates
+from clunk.simulation.load import cases_of
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
 from clunk.study.records import Rows, as_text
@@ -114,12 +114,6 @@ class Trajectory:
     def approach_velocity(self) -> float:
         """V = sqrt(sum v_i²), v_i the relative velocity just before primary impact i  [rad/s]."""
         return root_of_squares(self.events["speed"][self.primaries], self.primaries.size)
-
-    @property
-    def load(self) -> Floats:
-        """(E,) torque of the load at the events  [N m]."""
-        load = self.study.load
-        return torque_at(run_load(self.study)[1], wave_rates(load), self.events["time"])
 
     def kind_name(self, k: int) -> str:
         """The name of event `k`: load step, touch, separation, rejoin, opening or lock."""
