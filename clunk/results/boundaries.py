@@ -125,18 +125,17 @@ class Boundaries:
     def curves(self) -> list[Curve]:
         """The curves."""
         parts = _parts(self.vertices, self.curve_counts)
-        codes = np.column_stack([self.curve_left, self.curve_right, self.curve_event]).tolist()
         return [
             Curve(part, self.label(left), self.label(right), EVENTS[event])
-            for part, (left, right, event) in zip(parts, codes, strict=True)
+            for part, left, right, event in zip(parts, self.curve_left, self.curve_right, self.curve_event, strict=True)
         ]
 
     @property
     def regions(self) -> list[Region]:
         """The regions."""
         rings = iter(_parts(self.ring_vertices, self.ring_counts))
-        rest = zip(self.region_rings.tolist(), self.region_label.tolist(), self.region_area.tolist(), strict=True)
-        return [Region(tuple(islice(rings, count)), self.label(code), area) for count, code, area in rest]
+        rest = zip(self.region_rings, self.region_label, self.region_area, strict=True)
+        return [Region(tuple(islice(rings, count)), self.label(code), float(area)) for count, code, area in rest]
 
     @property
     def meetings(self) -> list[tuple[Floats, list[str]]]:

@@ -28,7 +28,12 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object
             target.flush()
             os.fsync(target.fileno())
         temporary.replace(path)
-        _sync_directory(path.parent)
+        if os.name == "posix":  # elsewhere no directory can be opened, to flush the renaming to the disk
+            directory = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(directory)
+            finally:
+                os.close(directory)
     finally:
         with suppress(OSError):  # its directory may be what is missing
             temporary.unlink(missing_ok=True)
@@ -59,16 +64,6 @@ def reason(error: BaseException) -> str:
         words = str(error.args[0]) if error.args else type(error).__name__
     words = " ".join(words.split()).rstrip(".")
     return words[:1].lower() + words[1:]
-
-
-def _sync_directory(directory: Path) -> None:
-    """Flush a renaming to the disk, where directories can be opened for that."""
-    if os.name == "posix":
-        descriptor = os.open(directory, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 # --- Files that a command is to write --------------------------------------------------------------------------------

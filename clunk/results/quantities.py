@@ -252,8 +252,15 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     told = value if isinstance(value, str) else f"{value:.15g}"
     meaning = f"{quantity.heading} {_RELATIONS[relation][1]} {told} {quantity.unit_symbol}".rstrip()
     meaning = f"the {meaning}" if quantity.type == TEXT else meaning
-    described = replace(OF_RUNS[CHATTER], name=f"{name}{relation}{told}", words=meaning, long_name=f"whether {meaning}")
-    return replace(described, base=quantity, relation=relation, bound=value)
+    return replace(
+        OF_RUNS[CHATTER],
+        name=f"{name}{relation}{told}",
+        words=meaning,
+        long_name=f"whether {meaning}",
+        base=quantity,
+        relation=relation,
+        bound=value,
+    )
 
 
 def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | None:
