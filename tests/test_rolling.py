@@ -151,6 +151,13 @@ def test_a_truck_that_rolls_fast_touches_at_the_times_that_rk4_finds(drag, durat
     assert balance(exact).relative_residual < 1e-8
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_truck_that_slows_down_for_minutes_is_known_to_be_done(method):
+    """Its slowest mode, 0.04 1/s, moves neither gap nor acceleration."""
+    plant = replace(TRUCK, before=200.0)
+    assert simulate(study_of(plant, method, step=1e-5, end_time=6.0)).complete
+
+
 def test_a_truck_that_rolls_fast_has_few_events_also_where_a_touch_is_all_but_none():
     """Had its angles the rounding of what it rolls by, flanks that all but rest on each other would part for ever."""
     durations = 0.24170693200478488 + np.concatenate([np.linspace(-w, w, 100) for w in (1e-7, 1e-6, 1e-5)])

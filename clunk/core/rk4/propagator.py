@@ -154,7 +154,7 @@ def _modal_bounds(system: System, step: float) -> tuple[Any, ...]:
     reach, sag = np.zeros((2, flows, system.functionals.shape[1], states))
     steady_sag, rest_functional = np.zeros((2, flows, system.functionals.shape[1], driven))
     ramp_sag = np.zeros((flows, 3 if ramp else 0, system.functionals.shape[1]))
-    stable, most = True, 0
+    stable, most, parabola = True, 0, (STRIDE * step) ** 2 / 8
     for flow in range(flows):
         ties = [system.impulsive * (flow >> lash & 1) for lash in range(lashes)]
         ties += [flow // (stuck_stride << k) & 1 for k in range(rubbing)]
@@ -182,28 +182,29 @@ def _modal_bounds(system: System, step: float) -> tuple[Any, ...]:
         modes[flow, kept, :states] = left
         modes_input[flow, kept] = left @ forcing / decay - left @ shift
         second = system.functionals[flow] @ system.rates[flow] @ system.rates[flow]  # rows of second derivatives
-        curving = second[:, :states]
-        reach[flow, :, kept] = weight * np.abs(curving @ right / decay.T**2)
+        functionals, curving = system.functionals[flow, :, :states], second[:, :states]
+        bending = weight * np.abs(curving @ right)
+        # of a slow mode that moves no functional, the curvature's rounding is no measure of its reach
+        of_mode = weight * np.abs(functionals @ right) if settles[flow] else bending / np.abs(decay.T) ** 2
         each = np.abs(step * decay[:, 0])
         curvature = np.abs(1 + partial_steps * (1 + partial_steps / 2)).max(axis=1, initial=1.0)
-        away = STRIDE**2 * each**2 / 8 * (curvature + each**3 / 12)
-        sag[flow, :, kept] = reach[flow, :, kept] * np.minimum(away, 2.0)
+        reach[flow, :, kept] = of_mode
+        sag[flow, :, kept] = np.minimum(parabola * bending * (curvature + each**3 / 12), 2.0 * of_mode)
         if ramp:
             by_torque = left @ system.rates[flow, :states, states, None] / decay
             modes[flow, kept, states:] = np.hstack([by_torque, by_torque / decay])
         if settles[flow]:
             rest = shift - expand @ np.linalg.solve(pick @ rates @ expand, pick @ forcing)
-            rest_functional[flow] = system.functionals[flow, :, :states] @ rest + system.feedthrough[flow]
+            rest_functional[flow] = functionals @ rest + system.feedthrough[flow]
             continue
         rest = shift - np.real(weight * right @ (left @ forcing / decay))
-        steady_sag[flow] = curving @ rest + system.functionals[flow, :, :states] @ rates @ inputs
+        steady_sag[flow] = curving @ rest + functionals @ rates @ inputs
         if ramp:
             by_ramp = np.real(weight * right @ modes[flow, kept, states:])
             ramp_sag[flow, :2] = (second[:, states:] - curving @ by_ramp).T
             ramp_sag[flow, 2] = STRIDE * step * ramp_sag[flow, 0]
     if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
         rest_functional[:, ACCELERATION : lashes * system.functionals_per_lash : system.functionals_per_lash] = 0.0
-    parabola = (STRIDE * step) ** 2 / 8
     rows = _real_rows(modes[:, :most], modes_input[:, :most])
     bounds = *rows, reach[..., :most], sag[..., :most], parabola * steady_sag.swapaxes(1, 2), parabola * ramp_sag
     return stable, settles, strides, *bounds, rest_functional
