@@ -18,7 +18,7 @@ from clunk.cli.options import (
     json_option,
     lash_option,
     nearest_values,
-    set_option,
+    study_argument,
     workers_option,
 )
 from clunk.study.errors import ClunkError
@@ -26,12 +26,12 @@ from clunk.study.records import counted, fill, number
 
 if TYPE_CHECKING:
     from clunk.analysis.thresholds import Thresholds
+    from clunk.study.study import Study
 
 
 @click.command()
-@click.argument("config", type=PATH)
+@study_argument
 @click.argument("measurements", type=PATH)
-@set_option
 @click.option("--plot", "picture", type=PATH, help="Also draw the measured labels on maps: .png .svg .pdf.")
 @click.option("--write", "fitted_config", type=PATH, help="Also write the fitted config (.toml), to be swept.")
 @lash_option
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 @json_option
 def fit(
     config: Path,
+    study: Study,
     measurements: Path,
-    overrides: tuple[str, ...],
     picture: Path | None,
     fitted_config: Path | None,
     as_json: bool,
@@ -62,12 +62,11 @@ def fit(
     from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
-    study = clunk.load_study(config, overrides)
     if picture is not None:
         files.check(picture, files.PICTURES)
     if fitted_config is not None:
         files.check(fitted_config, (".toml",), reads=config)
-    terminal.warn_of_coarse_step(study, study.solver.method)
+    terminal.warn_of_coarse_step(study)
     fitted = clunk.fit(study, measurements, progress=True, **options)
     tables.tell(fitted, as_json)
     for sentence in fitted.warnings:
@@ -81,8 +80,7 @@ def fit(
 
 
 @click.command()
-@click.argument("config", type=PATH)
-@set_option
+@study_argument
 @click.option("-o", "--output", type=PATH, help="Also write the config with the best values (.toml).")
 @click.option("--front", "traded", metavar="QUANTITY", help="The least value for bounds on a quantity, too.")
 @click.option("--plot", "picture", type=PATH, help="Draw the run before and after, or the front: .png .svg .pdf.")
@@ -91,7 +89,7 @@ def fit(
 @json_option
 def optimize(
     config: Path,
-    overrides: tuple[str, ...],
+    study: Study,
     output: Path | None,
     traded: str | None,
     picture: Path | None,
@@ -113,14 +111,12 @@ def optimize(
     from clunk.results.files import write_text
     from clunk.simulation.history import sample
     from clunk.simulation.trajectory import simulate
-    from clunk.study.config import load_study
     from clunk.study.study import to_toml
 
-    study = load_study(config, overrides)
     for path, suffixes in ((output, (".toml",)), (picture, files.PICTURES)):
         if path is not None:
             files.check(path, suffixes, reads=config)
-    terminal.warn_of_coarse_step(study, study.solver.method)
+    terminal.warn_of_coarse_step(study)
     options["progress"] = True
     try:
         found = optimisation.front(study, traded, **options) if traded else optimisation.optimize(study, **options)
@@ -149,8 +145,7 @@ def optimize(
 
 
 @click.command()
-@click.argument("config", type=PATH)
-@set_option
+@study_argument
 @at_option
 @click.option(
     "--of",
@@ -166,7 +161,7 @@ def optimize(
 @json_option
 def sensitivity(
     config: Path,
-    overrides: tuple[str, ...],
+    study: Study,
     at: tuple[str, ...],
     quantities: tuple[str, ...],
     output: Path | None,
@@ -186,10 +181,8 @@ def sensitivity(
     """
     from clunk.analysis import sobol
     from clunk.results import files
-    from clunk.study.config import load_study
     from clunk.study.study import replace_values
 
-    study = load_study(config, overrides)
     if output is not None:
         files.check(output, files.PICTURES, reads=config)
     point = sobol.operating_point(replace_values(study, cell_values(study, at, all_needed=False)))
@@ -211,7 +204,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 
 
 @click.command()
-@click.argument("config", type=PATH)
+@study_argument
 @click.option(
     "--along",
     required=True,
@@ -234,17 +227,16 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     help="With tolerances: shares of the draws that have the same outcome, from 0.5 to 1 [0.5,0.95].",
 )
 @lash_option
-@set_option
 @at_option
 @workers_option
 @click.option("-o", "--output", type=PATH, help="Data (.csv .json), or a picture (.png .svg .pdf).")
 @json_option
 def thresholds(
     config: Path,
+    study: Study,
     along: str,
     outcome: str,
     quantiles: tuple[float, ...] | None,
-    overrides: tuple[str, ...],
     at: tuple[str, ...],
     output: Path | None,
     as_json: bool,
@@ -269,10 +261,8 @@ def thresholds(
     from clunk.analysis.thresholds import check_quantiles, threshold_quantiles
     from clunk.results import files
     from clunk.results.files import write_text
-    from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
 
-    study = load_study(config, overrides)
     _, axes = analysis.axes_of(study, along)
     if at:
         study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], at))
@@ -288,7 +278,7 @@ def thresholds(
         from clunk.plot import analyses as plot
 
         plot.other_axis(analysis.axes_of(study, along)[1])
-    terminal.warn_of_coarse_step(study, study.solver.method)
+    terminal.warn_of_coarse_step(study)
     located = analysis.thresholds(study, along=along, of=outcome, progress=True, **options)
     result = threshold_quantiles(located, shares) if is_toleranced else located
     if as_json:

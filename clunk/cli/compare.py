@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, PATH, json_option, set_option, workers_option
+from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, PATH, json_option, study_argument, workers_option
+
+if TYPE_CHECKING:
+    from clunk.study.study import Study
 
 
 @click.command()
@@ -58,11 +61,10 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
 
 
 @click.command()
-@click.argument("config", type=PATH)
-@set_option
+@study_argument
 @workers_option
 @json_option
-def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_json: bool) -> None:
+def verify(study: Study, workers: int | None, as_json: bool, **_: Any) -> None:
     """Run a config by both methods and compare the results.
 
     The methods are rk4 (A) and exact (B), and what is printed is what clunk compare prints of their maps. Exact is
@@ -78,7 +80,6 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
     import clunk
     from clunk.analysis.comparison import METHODS
 
-    study = clunk.load_study(config, overrides)
     terminal.warn_of_coarse_step(study, "rk4")
     comparison = clunk.verify(study, workers=workers, progress=True)
     tables.tell(comparison, as_json)

@@ -49,7 +49,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     rows = [*results.summary()]
     load = results.setting("load")
     if load is not None:
-        swept = {axis.parameter for axis in results.parameters}
+        swept = [axis.parameter.removeprefix("load.") for axis in results.parameters]
         rows.append(("load", ", ".join([PROFILES[load["profile"]].name, *numbers(load, swept)])))
     rows.append(("config", f"{results.config_digest[:16]}…"))
     rows += [(name.removesuffix("_version"), str(value)) for name, value in results.attributes.items()]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import PATH, json_option, set_option
+from clunk.cli.options import json_option, study_argument
 from clunk.study.records import Record, told
+
+if TYPE_CHECKING:
+    from clunk.study.study import Study
 
 _FAINTEST = 0.05  # share of a mode's kinetic energy that is printed
 _MOST_SHARES = 2
@@ -53,10 +56,9 @@ class LinearView(Record):
 
 
 @click.command()
-@click.argument("config", type=PATH)
-@set_option
+@study_argument
 @json_option
-def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
+def modes(study: Study, as_json: bool, **_: Any) -> None:
     """Print natural frequencies and damping ratios.
 
     Also the thresholds of a vanishing backlash, the share of each inertia in the kinetic energy of each mode, and which
@@ -70,9 +72,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     from clunk.simulation.driveline import explained, steady_driveline, steady_stages, steps_a_period
     from clunk.simulation.shapes import shuffle_mode
     from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
-    from clunk.study.config import load_study
 
-    study = load_study(config, overrides)
     driveline = steady_driveline(study)
     if driveline.rigid_motion.shape.shape[1] > 1:  # parts that turn by themselves
         terminal.complain(f"warning: {explained(study, Status.NO_EQUILIBRIUM)}")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clunk.cli import completion, terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from clunk.study.axes import ResultAxis
     from clunk.study.study import Study
@@ -32,6 +33,20 @@ set_option = click.option(
     help="Override a key of the config, for example --set load.ratio=7; a path begins in the current directory. May be "
     "repeated.",
 )
+
+
+def study_argument(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the argument CONFIG and the option --set, as the study that they make."""
+
+    @click.argument("config", type=PATH)
+    @set_option
+    @functools.wraps(command)
+    def with_study(config: Path, overrides: tuple[str, ...], **options: Any) -> None:
+        from clunk.study.config import load_study
+
+        command(config=config, study=load_study(config, overrides), **options)
+
+    return with_study
 
 
 at_option = click.option(

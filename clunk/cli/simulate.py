@@ -79,7 +79,7 @@ def simulate(
     if note := compiling_note(*(study for _, study in studies)):
         click.echo(note, err=True)
     for _, study in studies:
-        terminal.warn_of_coarse_step(study, study.solver.method)
+        terminal.warn_of_coarse_step(study)
     runs = [(name, run(study)) for name, study in studies]
     records = [{"run": name} | run_record(trajectory) for name, trajectory in runs]
     if as_json:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, set_option
+from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, study_argument
 from clunk.study.records import counted
 from clunk.sweeping import progress
 
@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("config", type=PATH)
+@study_argument
 @click.option("-o", "--output", type=PATH, help="Results file [results/CONFIG.h5].")
-@set_option
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
@@ -40,8 +39,8 @@ if TYPE_CHECKING:
 @json_option
 def sweep(
     config: Path,
+    study: Study,
     output: Path | None,
-    overrides: tuple[str, ...],
     workers: int | None,
     scheduler: str | None,
     force: bool,
@@ -66,11 +65,9 @@ def sweep(
     if retry_failed and force:
         raise click.UsageError("--retry-failed does not go with --force.")
     from clunk.results import files
-    from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances
     from clunk.study.models import lash_position
 
-    study = load_study(config, overrides)
     if has_tolerances(study) and retry_failed:
         raise click.UsageError("--retry-failed does not go with [[sweep.tolerances]].")
     from clunk.analysis.boundaries import is_traced

@@ -67,11 +67,14 @@ def complain(message: str) -> None:
         click.echo(line if len(line) <= WIDTH else fill(line), err=True)
 
 
-def warn_of_coarse_step(study: Study, method: str) -> None:
-    """Warn of a step of rk4 that is too coarse for the contact: wrong labels have no other sign where it is stable."""
+def warn_of_coarse_step(study: Study, method: str | None = None) -> None:
+    """Warn of a step of rk4 that is too coarse for the contact: wrong labels have no other sign where it is stable.
+
+    method : by which the study is run; by default its own
+    """
     from clunk.simulation.driveline import steps_a_period
 
-    if method == "rk4" and (steps := steps_a_period(study)) < _FEWEST_STEPS:
+    if (method or study.solver.method) == "rk4" and (steps := steps_a_period(study)) < _FEWEST_STEPS:
         click.echo(
             f"warning: solver.step = {study.solver.step:g} s: {steps:.1f} steps a period of the fastest oscillation;\n"
             f"  with fewer than {_FEWEST_STEPS} weak rebounds are lost",
@@ -86,7 +89,7 @@ def warn(study: Study, verb: str) -> None:
     """
     from clunk.study.designs import unused_parameters
 
-    warn_of_coarse_step(study, study.solver.method)
+    warn_of_coarse_step(study)
     for parameter in unused_parameters(study):
         click.echo(f"note: {parameter} is {verb}, but changes nothing in this model", err=True)
 

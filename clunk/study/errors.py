@@ -71,8 +71,6 @@ def shorten(value: object, width: int = 40) -> str:
         text = "true" if value else "false"
     elif isinstance(value, dict):
         text = "a table"
-    elif isinstance(value, list | tuple) and value and all(isinstance(item, dict) for item in value):
-        text = "an array of tables"
     elif isinstance(value, list | tuple):
         text = "[" + ", ".join(shorten(item, width) for item in value[:width]) + "]"
     elif isinstance(value, int) and abs(value) >= 2**63:

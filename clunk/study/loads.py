@@ -142,20 +142,19 @@ def uses(profile: str, key: str) -> bool:
     return key in ("on", "step_time", *(PROFILES[profile].keys if profile in PROFILES else ()))
 
 
-def numbers(load: Mapping[str, Any], swept: Container[str] = (), without: Container[str] = ()) -> list[str]:
-    """The numbers of a load's profile, other than defaults, with symbols and units: ``d = 0.1 s``, or ``d swept``.
+def numbers(load: Mapping[str, Any], without: Container[str] = ()) -> list[str]:
+    """The numbers of a load's profile, other than defaults, with symbols and units: ``d = 0.1 s``.
 
     load : the table of a config
-    swept : parameters, for example ``load.duration``
     without : keys to leave out
     """
     texts = []
     for key in PROFILES[load["profile"]].keys:
-        value, is_swept = load.get(key), f"load.{key}" in swept
-        if isinstance(value, float) and key not in without and (is_swept or value != Load.model_fields[key].default):
-            quantity = next(each for each in Load.model_fields[key].metadata if isinstance(each, Quantity))
-            symbol, unit = quantity.symbol.partition(" ")[0], "" if quantity.unit == "1" else f" {quantity.unit}"
-            texts.append(f"{symbol} swept" if is_swept else f"{symbol} = {value:g}{unit}")
+        value, field = load.get(key), Load.model_fields[key]
+        if isinstance(value, float) and key not in without and value != field.default:
+            quantity = next(each for each in field.metadata if isinstance(each, Quantity))
+            unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+            texts.append(f"{quantity.symbol.partition(' ')[0]} = {value:g}{unit}")
     return texts
 
 

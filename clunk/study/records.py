@@ -42,16 +42,16 @@ class Told:
     key: str = ""
 
 
-def told(heading: str = "", unit: str = "", form: str = "", key: str = "") -> Any:
-    """A field of a record that is told, see `Told`."""
-    return field(metadata={"told": Told(heading, unit, form, key)})
+def told(*how: str, **named: str) -> Any:
+    """A field of a record that is told, as `Told` says."""
+    return field(metadata={"told": Told(*how, **named)})
 
 
-def tells(heading: str = "", unit: str = "", form: str = "", key: str = "") -> Callable[[Getter], Getter]:
-    """Decorate the getter of a record's property that is told, see `Told`."""
+def tells(*how: str, **named: str) -> Callable[[Getter], Getter]:
+    """Decorate the getter of a record's property that is told, as `Told` says."""
 
     def decorate(getter: Getter) -> Getter:
-        getter.__dict__["told"] = Told(heading, unit, form, key)
+        getter.__dict__["told"] = Told(*how, **named)
         return getter
 
     return decorate

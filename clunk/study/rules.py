@@ -52,7 +52,7 @@ def broken_rules(config: Config) -> list[Finding]:
 
 def _of_a_run(config: Config) -> Iterator[Finding]:
     """Findings of the rules that each run must keep."""
-    for rule in (_lashes, _regimes, _steps, _sizes):
+    for rule in (_lashes, _limits, _sizes):
         yield from rule(config)
 
 
@@ -72,7 +72,7 @@ def complaint(parameter: str, config: Config) -> str | None:
     return None
 
 
-# --- Lashes, steps, sizes --------------------------------------------------------------------------------------------
+# --- Lashes, limits, sizes --------------------------------------------------------------------------------------------
 
 
 def _lashes(config: Config) -> Iterator[Finding]:
@@ -106,25 +106,17 @@ def _stages(config: Config) -> int:
     return math.prod(len(shaft.stages) for shaft in config.driveline.shafts)
 
 
-def _regimes(config: Config) -> Iterator[Finding]:
-    """Require no more regimes than can be prepared."""
-    regimes = count_of_regimes(config)
-    if regimes > MOST_REGIMES:
-        text = f"the states of lashes, staged shafts and frictions combine to {regimes:,} regimes"
-        yield ("driveline", "shafts"), f"{text}; at most {MOST_REGIMES:,} are allowed"
-
-
-def _steps(config: Config) -> Iterator[Finding]:
-    """Require a run of at least one step and not absurdly many, nor of absurdly many periods of the load."""
+def _limits(config: Config) -> Iterator[Finding]:
+    """Require a run of at least one step, and no more steps, periods of the load and regimes than can be run."""
     step, end, frequency = config.solver.step, config.solver.end_time, config.load.frequency or 0.0
-    if step > end:
-        yield ("solver", "step"), f"a step of {step:g} s is longer than the run, end_time = {end:g} s"
-    elif end / step > MOST_STEPS:
-        text = f"a run of {end:g} s in steps of {step:g} s has {end / step:.2g} of them"
-        yield ("solver", "step"), f"{text}; at most {MOST_STEPS:g} are allowed"
-    elif end * frequency > MOST_PERIODS:
-        text = f"a run of {end:g} s at {frequency:g} Hz has {end * frequency:.2g} periods of the load"
-        yield ("load", "frequency"), f"{text}; at most {MOST_PERIODS:g} are allowed"
+    limits: tuple[tuple[float, float, Place, str], ...] = (
+        (step, end, ("solver", "step"), "a step of {:g} s is longer than the run, end_time = {:g} s"),
+        (end / step, MOST_STEPS, ("solver", "step"), "a run has {:.2g} steps; at most {:g} are allowed"),
+        (end * frequency, MOST_PERIODS, ("load", "frequency"), "a run has {:.2g} periods of the load; at most {:g}"),
+        (count_of_regimes(config), MOST_REGIMES, ("driveline", "shafts"), "the states of lashes, staged shafts and "
+         "frictions combine to {:,} regimes; at most {:,} are allowed"),
+    )  # fmt: skip
+    yield from ((place, text.format(value, most)) for value, most, place, text in limits if value > most)
 
 
 Size = tuple[float, Place]  # a positive number, and the key that has it
@@ -144,14 +136,13 @@ def _sizes(config: Config) -> Iterator[Finding]:
         for lever in (lash.radius**2, (lash.radius * lash.ratio) ** 2):
             springs.append((lever * (lash.contact.stiffness or 0.0), (*at, "contact", "stiffness")))
             dampers.append((lever * (lash.contact.damping or 0.0), (*at, "contact", "damping")))
-    for sizes, unit in ((masses, "kg m2"), ([spring for spring in springs if spring[0] > 0.0], "N m/rad")):
-        (smallest, at_smallest), (largest, at_largest) = min(sizes, default=(1.0, ())), max(sizes, default=(1.0, ()))
+    stiff = [spring for spring in springs if spring[0] > 0.0]
+    for sizes, unit in ((masses, "kg m2"), (stiff or masses, "N m/rad")):
+        (smallest, at_smallest), (largest, at_largest) = min(sizes), max(sizes)
         if largest > WIDEST_SPREAD * smallest:
             text = f"{largest:g} {unit} here (with ratio and radius) and {smallest:g} {unit} at {dotted(at_smallest)}"
-            yield (
-                at_largest,
-                f"{text} are more than a factor of {WIDEST_SPREAD:g} apart; the smaller is lost in rounding",
-            )
+            text += f" are more than a factor of {WIDEST_SPREAD:g} apart; the smaller is lost in rounding"
+            yield at_largest, text
             return
     lightest, at_lightest = min(masses)
     for sizes, power, unit in ((springs, 0.5, "N m/rad"), (dampers, 1.0, "N m s/rad")):
