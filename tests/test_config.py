@@ -190,7 +190,7 @@ def test_a_gap_in_mm_is_the_backlash_at_the_radius_and_a_stiffness_per_degree_th
 
 def test_keys_that_are_set_beside_each_other_are_refused():
     assert "given together" in str(errors_of(ONE_RUN, "lash.gap_mm=8.0", "lash.backlash_deg=6.0"))
-    assert "given together" in str(errors_of(ONE_RUN, "load.ratio=3.0", "load.initial_torque=6.0"))
+    assert "found ratio and initial_torque" in str(errors_of(ONE_RUN, "load.ratio=3.0", "load.initial_torque=6.0"))
 
 
 def test_shafts_that_replace_more_of_a_preset_are_warned_of():
@@ -391,9 +391,9 @@ BROKEN = [
     (with_line(23, "stiffness = 0"), "lash.contact.stiffness", 23, "greater than 0 (N/m)"),
     (with_line(26, "restitution = 1.1"), "lash.contact.restitution", 26, "from 0 to 1"),
     (with_line(29, 'on = "ground"'), "load.on", 29, 'there is no inertia "ground"; it must be'),
-    (with_line(30, ""), "load.static_torque", 27, "ratio needs static_torque"),
-    (with_line(31, "initial_torque = 2"), "load", 27, "given together"),
-    (ONE_RUN.replace("static_torque = -1.0\nratio", "final_torque"), "load.initial_torque", 27, "needs initial_torque"),
+    (with_line(30, ""), "load", 27, "found ratio; must be static_torque and ratio or initial_torque and"),
+    (with_line(31, "initial_torque = 2"), "load", 27, "found static_torque and initial_torque; must be"),
+    (ONE_RUN.replace("static_torque = -1.0\nratio", "final_torque"), "load", 27, "found final_torque; must be"),
     (with_line(32, "[foo]\nx = 1"), "foo", 32, "unknown key; allowed here: title, driveline"),
     (with_line(35, "step = 3.0"), "solver.step", 35, "longer than the run, end_time = 2 s"),
     (with_line(35, "step = 1e-10"), "solver.step", 35, "at most 1e+09"),
@@ -436,7 +436,7 @@ BROKEN = [
     (f"{PRESET}inertias = [1, 1, 1]\n", "lash.between[2]", None, "there is no inertia 4"),
     ("lash = 3\n", "lash", 1, "found 3; must be a table"),
     ("", "driveline", None, "give driveline.preset"),
-    (f"{PRESET}[load]\ninitial_torque = 1\n", "load.final_torque", 3, "initial_torque needs final_torque"),
+    (f"{PRESET}[load]\ninitial_torque = 1\n", "load", 3, "found initial_torque; must be"),
 ]  # fmt: skip
 
 
@@ -748,7 +748,7 @@ def test_replaced_values_are_those_of_the_study():
         ({"driveline.inertias[4]": 0.0}, "driveline.inertias[4]: found 0.0; must be a number greater than 0"),
         ({"load.on": 5.0}, "there is no inertia 5"),
         ({"solver.step": 3.0}, "longer than the run"),
-        ({"load.initial_torque": 3.0}, "given together"),
+        ({"load.initial_torque": 3.0}, "found static_torque, ratio and initial_torque; must be"),
         ({"lash.radius": 0.0, "lash.backlash_deg": -1.0, "solver.step": 0.0}, "has 3 errors"),
     ],
 )

@@ -141,7 +141,7 @@ class Problem:
         self.study = measuring(nominal(study), [*self._conditions, *self._numbers])
         design = design_of(self.study)
         self._cells = design.columns(np.arange(design.cells)) if design.shape else {}
-        self._tolerances = study.sweep.tolerances if study.sweep is not None else ()
+        self._tolerances = study.swept.tolerances
         self._drawn = drawn_numbers(study, self._tolerances)
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines

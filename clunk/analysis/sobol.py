@@ -23,7 +23,6 @@ from clunk.study.loads import PROFILES
 from clunk.study.parameters import nominal_value
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study
-from clunk.study.sweeps import Sweep
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 
@@ -156,7 +155,7 @@ def sensitivity(
     point = operating_point(study)
     hardness = "approach_velocity" if point.lashes[0].contact.model == "restitution" else "severity"
     names = of or (hardness, "nominal_label")
-    parameters = tuple(draw.parameter for draw in _sweep(point).tolerances)
+    parameters = tuple(draw.parameter for draw in point.swept.tolerances)
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
     if any(each.type == TEXT for each in quantities):
         raise ClunkError("The label is no number; nominal_label, double_sided and label=DS(1)SS(1) are 1 or 0.")
@@ -175,7 +174,7 @@ def sensitivity(
     _refuse_failures(runs)
     label = str(runs.label_map[-1])
     indices = tuple(
-        _indices(each.named(label), runs, parameters, (n, pages), _sweep(point).sampling.seed) for each in quantities
+        _indices(each.named(label), runs, parameters, (n, pages), point.swept.sampling.seed) for each in quantities
     )
     base = runs.label_map[:-1].reshape(n, pages)[:, :2]
     labels, counts = np.unique(base, return_counts=True)
@@ -208,16 +207,11 @@ def operating_point(study: Study) -> Study:
     return study.model_copy(update={"sweep": swept.model_copy(update={"axes": (), "design": "grid"})})
 
 
-def _sweep(study: Study) -> Sweep:
-    assert study.sweep is not None  # tolerances are part of it
-    return study.sweep
-
-
 def saltelli_sample(study: Study) -> Floats:
     """Parameters of the runs, (n, d + 2, d) float64: of each sample A's, B's, and A's with each column from B."""
-    draws = _sweep(study).tolerances
+    draws = study.swept.tolerances
     d = len(draws)
-    points = _sweep(study).sampling.points(2 * d)
+    points = study.swept.sampling.points(2 * d)
     sample = np.empty((len(points), d + 2, d))
     for k, draw in enumerate(draws):
         nominal = nominal_value(study, draw.parameter)

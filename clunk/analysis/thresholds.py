@@ -238,7 +238,7 @@ def thresholds(
     along_axis, axes = axes_of(study, along)
     position, outcome = lash_position(lash, study.lash_names), parse(of, study)
     shape = tuple(len(axis.values) for axis in axes)
-    tolerances = study.sweep.tolerances if study.sweep is not None else ()
+    tolerances = study.swept.tolerances
     drawn = drawn_numbers(study, tolerances)
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
     keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]

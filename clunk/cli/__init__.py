@@ -71,9 +71,6 @@ def main() -> NoReturn:
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except click.UsageError as error:
-        if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.2 and later
-            click.echo(error.format_message(), err=True)
-            sys.exit(EXIT_USAGE)
         command = error.ctx.command_path if error.ctx else "clunk"
         terminal.complain(f"{error.format_message()}\nTry '{command} --help'.")
         sys.exit(EXIT_USAGE)

@@ -20,13 +20,12 @@ if TYPE_CHECKING:
 @click.argument("b", type=PATH)
 @click.option("-o", "--output", type=PATH, help="Also draw where they differ: .png .svg .pdf.")
 @click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
-@click.option("--lash", metavar="NAME", help="Of several lashes, this one [all; with measurements the first].")
 @json_option
-def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str | None, as_json: bool) -> None:
+def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
     """Compare a results file with another, or with measurements.
 
     Cell by cell: A is a results file, B one of the same grid, a CSV file of measured labels, or table_4_1, the report's
-    experiment.
+    experiment. Measurements are those of the first lash.
 
     \b
     Examples:
@@ -42,10 +41,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
         files.check(output, files.PICTURES)
     results = read_results(a)
     other = None if is_experiment(b) else read_results(b)
-    if other is None or lash is not None:
-        results = results.of_lash(lash)
-    if other is not None and lash is not None:
-        other = other.of_lash(lash)
+    results = results.of_lash() if other is None else results
     comparison: Any  # of two maps, or of a map and measurements
     comparison = compare_experiment(results, read_experiment(b)) if other is None else compare_maps(results, other)
     if not as_json:

@@ -131,8 +131,7 @@ class Subject:
         if self._has_runs:
             fixed = {axis.parameter: fixed[axis.parameter] for axis in self._axes if axis.parameter in fixed}
         study = replace_values(self.study.model_copy(update={"sweep": None}), {**fixed, **numbers})
-        assert self.study.sweep is not None
-        axes = tuple(axis for axis in self.study.sweep.axes if axis.parameter in shown)
+        axes = tuple(axis for axis in self.study.swept.axes if axis.parameter in shown)
         return study.model_copy(update={"sweep": self.study.sweep if self._has_runs else Sweep(axes=axes)})
 
 

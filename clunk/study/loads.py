@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from clunk.study.document import read_text
-from clunk.study.errors import ConfigError, shorten
+from clunk.study.errors import ConfigError, listing, shorten
 from clunk.study.tables import Finding, Inertia, NotNegative, Positive, Quantity, Table, Text
 
 # The torques before and after the load step are given by both of the first, or by both of the second.
@@ -107,20 +107,13 @@ class Load(Table):
 
     def _torques(self) -> Iterator[Finding]:
         """Require the torques before and after in one way, whole; or none beside a table."""
-        by_ratio, by_step = ([key for key in pair if getattr(self, key) is not None] for pair in TORQUES)
-        pairs = "static_torque and ratio, or initial_torque and final_torque"
+        given = tuple(key for pair in TORQUES for key in pair if getattr(self, key) is not None)
         if self.profile == "table":
             text = 'given beside profile = "table", which has torques of its own; leave it out'
-            yield from (((key,), text) for key in by_ratio + by_step)
-            return
-        if by_ratio and by_step:
-            yield (), f"{' and '.join(by_ratio + by_step)} are given together; give either {pairs}"
-        elif not by_ratio and not by_step:
-            yield (), f"no torque is given; give {pairs} (N m)"
-        for pair in TORQUES:
-            for key, other in (pair, pair[::-1]):
-                if [key] in (by_ratio, by_step) and not (by_ratio and by_step):
-                    yield (other,), f"missing; {key} needs {other} beside it"
+            yield from (((key,), text) for key in given)
+        elif given not in TORQUES:
+            pairs = " or ".join(map(listing, TORQUES))
+            yield (), f"found {listing(given) or 'no torque'}; must be {pairs}, and no other of these (N m)"
 
     def _points(self) -> Iterator[Finding]:
         """Require as many torques as times, in order, or a file in place of both."""

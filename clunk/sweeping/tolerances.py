@@ -49,15 +49,14 @@ class SampleGrid(Grid):
     """
 
     def __init__(self, study: Study) -> None:
-        assert study.sweep is not None
         super().__init__(study)
-        self._tolerances = study.sweep.tolerances
+        self._tolerances = study.swept.tolerances
         keys = dict.fromkeys(axis.parameter for axis in self.design.parameters)
         keys |= dict.fromkeys(draw.parameter for draw in self._tolerances)
         alone = study.model_copy(update={"sweep": None})
         self._of_runs = Grid(alone, along_run((key, np.zeros(1)) for key in keys))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
-        self.draws = study.sweep.sampling.count
+        self.draws = study.swept.sampling.count
         self.drawn = drawn_numbers(study, self._tolerances)
         self.few_cells = 0
         self.tile_cells = max(1, min(_TILE_RUNS, most_of_load(study)) // self.draws)
