@@ -41,7 +41,7 @@ _SKIP = 4  # of the image, between the pixels among which names are placed
 _WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a name takes
 _SHADES = 256
 _COLUMNS = 800  # spans of time that a screen tells apart
-_BESIDE = 72, 32  # pixels left and right of all panels, so that their time axes lie under each other
+_BESIDE = 80, 32  # pixels left and right of all panels, so that their time axes lie under each other
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 _TEXT = {"text_font_size": "11px"}
 

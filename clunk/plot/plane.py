@@ -220,7 +220,6 @@ def _unit(axis: ResultAxis) -> str:
 
 def axis_label(axis: ResultAxis) -> str:
     """An axis's name, symbol and unit."""
-    name = axis.name or axis.parameter
-    unit = "" if axis.unit in ("", "1") else f"[{axis.unit}]"
-    parts = plain(capital(name)), symbol_text(axis.symbol), plain(unit)
+    unit = f"[{axis.unit}]" if _unit(axis) else ""
+    parts = plain(capital(axis.name or axis.parameter)), symbol_text(axis.symbol), plain(unit)
     return " ".join(part for part in parts if part)

@@ -21,7 +21,9 @@ MAPS = {  # name -> config, options of `clunk sweep` beside the exact method, an
     "figure 3.4, 201 x 201, lines": ("figure_3_4", [], ["regimes", "severity", "double_sided_impacts"]),
     "figure 3.4, 201 x 201, cells": ("figure_3_4", ["--no-boundaries"], ["regimes"]),
     "figure 3.4, 2001 x 2001, cells": ("figure_3_4", ["count=2001", "--no-boundaries"], ["regimes", "severity"]),
+    "two lashes, 121 x 156, lines": ("two_lashes", [], ["regimes"]),
     "two lashes, 121 x 156, cells": ("two_lashes", ["--no-boundaries"], ["regimes"]),
+    "car, 121 x 156, lines": ("car_tip_out", [], ["regimes"]),
     "car, 121 x 156, cells": ("car_tip_out", ["--no-boundaries"], ["regimes"]),
 }
 QUICK = {"smoke": ("smoke", [], ["regimes", "double_sided_impacts"])}
