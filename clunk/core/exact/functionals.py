@@ -8,7 +8,7 @@ from clunk.core.arrays import FloatArray
 from clunk.core.exact import curves, taylor
 from clunk.core.exact.curves import Origin
 from clunk.core.exact.flows import LONG
-from clunk.core.exact.workspace import Workspace, is_still, shortest_span, size_of
+from clunk.core.exact.workspace import Workspace, shortest_span, size_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
@@ -44,8 +44,7 @@ def gather_tables(space: Workspace, flow: int, items_per_run: int) -> None:
     watch, output = space.flows.watch, space.flows.origin_output
     watched, origins = watch[0, 0].size, output[0, 0].size
     gather(space, watch, flow * watched, watched, space.lane_watch)
-    read = origins // 4 if is_still(space, flow) else origins
-    gather(space, output, flow * origins, max(read, ROW), space.lane_output_origins)
+    gather(space, output, flow * origins, origins, space.lane_output_origins)
 
 
 @inlined_part
@@ -59,13 +58,13 @@ def evaluate(space: Workspace, flow: int, f: int) -> tuple[curves.Curve, Vector]
 
 
 @inlined_part
-def origin(space: Workspace, flow: int, f: int, inputs_at: int, still: bool, elapsed: Vector) -> Origin:
+def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector) -> Origin:
     """The origin of a functional of the runs taken, after a time in their phase.
 
     inputs_at : where the regime's inputs lie in the rows that were taken
     """
-    output, driven = space.flows.origin_output, inputs_of(space.system)
-    first, order = f * driven, output.shape[3] * driven
+    output, driven, rests = space.flows.origin_output, inputs_of(space.system), space.flows.steady[0, flow] != 0
+    first, order, still = f * driven, output.shape[3] * driven, rests and space.system.ramps == 0
     if space.mixed != 0:
         return weighed_origin(space, OfLanes(space.lane_output_origins), first, 1, order, inputs_at, still, elapsed)
     return weighed_origin(space, output[0, flow], first, 1, order, inputs_at, still, elapsed)
@@ -79,7 +78,7 @@ def weighed_origin(
 
     weights : begin at `first`, one for each input and `stride` apart; those of the next derivative lie `order` behind
     at : where the inputs lie in the rows that were taken
-    still : whether it does not move
+    still : whether it does not move, and its derivatives, a tenth of a step's time, are not to be looked at
     """
     value = weighed(space, weights, first, stride, at)
     slope = curvature = third = vectors.splat(0.0)

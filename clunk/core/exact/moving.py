@@ -3,7 +3,7 @@
 from clunk.core.arrays import FloatArray
 from clunk.core.exact import functionals, rows
 from clunk.core.exact.flows import CROSS, PAIRS, SELF, TERMS
-from clunk.core.exact.workspace import Workspace, field, is_still, size_of
+from clunk.core.exact.workspace import Workspace, field, size_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
@@ -16,19 +16,11 @@ def to_coordinates(space: Workspace, flow: int) -> None:
     origins, coordinates = space.flows.origin, space.flows.coordinates
     if space.mixed != 0:
         count = coordinates[0, 0].size
-        _gather_origins(space, flow, 1)
+        functionals.gather(space, origins, flow * origins[0, 0].size, origins[0, 0, 0].size, space.lane_state_origins)
         functionals.gather(space, coordinates, flow * count, count, space.lane_table)
         _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
         _to_coordinates(space, origins[0, flow], coordinates[0, flow])
-
-
-@inlined_part
-def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
-    """Gather the origins of a flow's coordinates, and so many derivatives less one."""
-    origins = space.flows.origin
-    count = origins[0, 0].size
-    functionals.gather(space, origins, flow * count, count // 4 * orders, space.lane_state_origins)
 
 
 @part
@@ -47,14 +39,13 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
 def to_states(space: Workspace, flow: int, mask: int) -> None:
     """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
     flows, size = space.flows, size_of(space)
-    still = is_still(space, flow) and space.system.drift.shape[1] == 0
     if space.mixed != 0:
-        count = flows.basis[0, 0].size
-        _gather_origins(space, flow, 1 if still else 4)
+        count, origins = flows.basis[0, 0].size, flows.origin[0, 0].size
+        functionals.gather(space, flows.origin, flow * origins, origins, space.lane_state_origins)
         functionals.gather(space, flows.basis, flow * count, count, space.lane_table)
-        _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table), still)
+        _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
-        _to_states(space, flows.origin[0, flow], flows.basis[0, flow], still)
+        _to_states(space, flows.origin[0, flow], flows.basis[0, flow])
     unused = space.state.shape[0] - 1
     for lane in range(WIDTH):
         space.offsets[lane] = (space.pool.items[lane] if (mask >> lane) & 1 else unused) * size
@@ -63,12 +54,12 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 
 
 @part
-def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> None:
+def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
     """The states of the runs taken, into `space.moved`."""
     work, size, elapsed = space.pool.work, size_of(space), field(space, rows.ELAPSED)
     order = inputs_of(space.system) * size
     for n in range(space.flows.coordinates.shape[2]):
-        at = functionals.weighed_origin(space, origins, n, size, order, space.inputs_at, still, elapsed)
+        at = functionals.weighed_origin(space, origins, n, size, order, space.inputs_at, False, elapsed)
         away = vectors.splat(0.0)
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)

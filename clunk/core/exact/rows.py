@@ -20,8 +20,9 @@ SIDE = 4  # by which the guards' signs are those of the group's first regime: 1 
 SCALE = 5  # of the guards' margins
 _OF_LASH = 6
 # Behind the last lash's: LIMIT, s, from the phase's beginning to the end of the run, or of the load's piece, see
-# `limit`; the SHIFT of each guard, see `shift`; the regime's inputs, when the phase or the load's piece began; and
-# whether the load, which may change at LIMIT, has not come to rest.
+# `limit`; whether the load, which may change there, has not come to rest; the SHIFT of each guard, see `shift`; and the
+# regime's inputs, when the phase or the load's piece began.
+KINK = 1  # behind LIMIT
 
 # A search's numbers, those that change first.
 TIME_LEFT = 0  # s
@@ -64,4 +65,4 @@ def limit(lashes: int) -> int:
 @inlined_part
 def shift(guard: int, lashes: int) -> int:
     """Place of a guard's SHIFT."""
-    return of_lash(lashes) + 1 + guard
+    return of_lash(lashes) + 2 + guard

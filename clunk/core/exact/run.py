@@ -15,14 +15,14 @@ from clunk.core.arrays import FloatArray, StopFlag
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.core.exact import functionals, moving, rows
 from clunk.core.exact.margins import MOST, note_holding, set_static, take_margin_of_event, take_margins_of_load
-from clunk.core.exact.search import conclude, search
+from clunk.core.exact.search import search
 from clunk.core.exact.step import take_step
 from clunk.core.exact.workspace import Workspace, lash_at, log_of, system_at, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import frictions_of, gap_input, lashes_of
+from clunk.core.regimes import frictions_of, gap_input, inputs_of, lashes_of
 from clunk.core.runs import Entry, Moment, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
 from clunk.core.sequence import is_primary, is_sticking
 from clunk.core.status import QUALITY_COMPLETE, Status
@@ -65,8 +65,9 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     if row.piece != before:
         begin_wave(system, load, row.piece, x)
     set_torque(system, load, row.piece, time, inputs)
-    numbers[rows.limit(lashes_of(system))] = end_of_piece(system, load, row.piece) - time
-    space.numbers[slot, space.kink_at] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
+    limit = rows.limit(lashes_of(system))
+    numbers[limit] = end_of_piece(system, load, row.piece) - time
+    numbers[limit + rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     if frictions_of(system) > 0:
         row.count = entry.written
         entry = recheck_frictions(Moment(system, time, x, inputs), log_of(space, slot), entry)
@@ -80,7 +81,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     numbers[rows.ELAPSED], numbers[rows.TRY] = 0.0, np.inf
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     entered = system.regimes[regime]
-    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.kink_at])
+    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.inputs_at + inputs_of(system)])
     for lash in range(lashes_of(system)):
         contact, course = system.contacts[regime, lash], space.courses[slot, lash]
         own = space.numbers[slot, lash_at(space, lash) :]
@@ -126,7 +127,7 @@ def advance(space: Workspace, stop: StopFlag) -> None:
             flow, functional = divmod(queue - queues.search, space.flows.watch.shape[2])
             if space.mixed != 0:
                 functionals.gather_tables(space, flow, space.searches_each)
-            conclude(space, queue, count, search(space, flow, functional, count))
+            search(space, flow, functional, queue, count)
         for k in range(pool.length[queues.follow]):
             _follow(space, pool.waiting[queues.follow, k])
         pool.length[queues.follow] = 0
@@ -142,9 +143,8 @@ def _follow(space: Workspace, slot: int) -> None:
     if row.ended == rows.BY_EVENT or (row.ended == rows.AT_END and now < system.end_time[0]):
         _end_phase(space, slot, now)
     elif row.ended == rows.GOES_ON or row.ended == rows.NEARS:
-        entered = space.system.regimes[row.regime]
-        short = row.ended == rows.NEARS or space.flows.modal[0, entered.flow] == 0
-        push(space.pool, (space.queues.short if short else space.queues.span) + entered.group, slot)
+        queue = space.queues.short if row.ended == rows.NEARS else space.queues.span
+        push(space.pool, queue + system.regimes[row.regime].group, slot)
     else:
         row.quality |= QUALITY_COMPLETE if row.ended == rows.SETTLED else 0
         _end(space, slot, _NON_FINITE if row.ended == rows.LOST else _OK, now)

@@ -14,7 +14,6 @@ from clunk.core.exact.margins import take_margin_of_guard
 from clunk.core.exact.workspace import (
     Workspace,
     field,
-    is_still,
     lash_at,
     set_field,
     shortest_span,
@@ -40,8 +39,8 @@ class _Known(NamedTuple):
 
 
 @part
-def search(space: Workspace, flow: int, f: int, count: int) -> int:
-    """Take one span of the `count` searches that have been taken; return the lanes of those that are through.
+def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
+    """Take one span of the `count` searches that have been taken from a queue; those that are through tell their runs.
 
     flow, f : the flow, and the functional searched in
     """
@@ -50,7 +49,7 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
     elapsed, inputs_at = field(space, rows.PHASE_TIME), space.behind + rows.OF_A_SEARCH
     moving.measure(space.pool.work, size_of(space), space.amplitudes)
-    origin = functionals.origin(space, flow, f, inputs_at, is_still(space, flow), elapsed)
+    origin = functionals.origin(space, flow, f, inputs_at, elapsed)
     seen, _ = functionals.evaluate(space, flow, f)
     curve = curves.as_guard(seen, origin, sign, shift)
     top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), curve.value <= until
@@ -73,7 +72,27 @@ def search(space: Workspace, flow: int, f: int, count: int) -> int:
     set_field(space, rows.TOP, top)
     set_field(space, rows.BOTTOM, bottom)
     put_back(space.pool, space.searches, space.behind + rows.BY_SIGN, present & ~done)
-    return int(done)
+    push_all(space.pool, queue, present & ~done)
+    lashes = lashes_of(space.system)
+    while done != 0:
+        lane = vectors.first_of(done)
+        done &= done - 1
+        item = space.pool.items[lane]
+        slot, number = item // space.searches_each, item % space.searches_each
+        run = space.runs[slot]
+        highest, lowest = (
+            space.pool.work[space.behind + rows.TOP, lane],
+            space.pool.work[space.behind + rows.BOTTOM, lane],
+        )
+        if number < lashes:
+            own = space.numbers[slot, lash_at(space, number) :]
+            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = highest, lowest
+        else:
+            deep = number == space.searches_each - 1
+            take_margin_of_guard(space, slot, run.guard if deep else number - lashes, lowest, deep)
+        run.searches -= 1
+        if run.searches == 0:
+            push(space.pool, space.queues.follow, slot)
 
 
 @part
@@ -141,26 +160,3 @@ def _search_series(
             taylor.shift(c, passed)
             width = vectors.smaller(vectors.choose(passes, 2.0 * width, 0.5 * width), left - begin)
     return top, bottom, done
-
-
-@part
-def conclude(space: Workspace, queue: int, count: int, done: int) -> None:
-    """Append those that are not through to their queue again, and take over what the others have found."""
-    push_all(space.pool, queue, (1 << count) - 1 & ~done)
-    lashes = lashes_of(space.system)
-    while done != 0:
-        lane = vectors.first_of(done)
-        done &= done - 1
-        item = space.pool.items[lane]
-        slot, search = item // space.searches_each, item % space.searches_each
-        run = space.runs[slot]
-        top, bottom = space.pool.work[space.behind + rows.TOP, lane], space.pool.work[space.behind + rows.BOTTOM, lane]
-        if search < lashes:
-            own = space.numbers[slot, lash_at(space, search) :]
-            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = top, bottom
-        else:
-            deep = search == space.searches_each - 1
-            take_margin_of_guard(space, slot, run.guard if deep else search - lashes, bottom, deep)
-        run.searches -= 1
-        if run.searches == 0:
-            push(space.pool, space.queues.follow, slot)

@@ -25,7 +25,6 @@ from clunk.core.exact.workspace import (
     Workspace,
     field,
     field_of,
-    is_still,
     set_field,
     set_field_of,
     shortest_span,
@@ -68,14 +67,15 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     flow = system.regimes[regime].flow
     zero, present = vectors.splat(0.0), (1 << count) - 1
     shortest, elapsed = shortest_span(space, flow), field(space, rows.ELAPSED)
-    time_left = field(space, rows.limit(lashes_of(system))) - elapsed
+    limit = rows.limit(lashes_of(system))
+    time_left = field(space, limit) - elapsed
 
     moving.measure(pool.work, size_of(space), space.amplitudes)
     _see(space, regime, _START)
     kinks, at_most = 0, field(space, rows.TRY)
     settled = _stays(space, regime) & present if flows.steady[0, flow] != 0 else 0
     if space.loads.shape[1] > 1:
-        kinks = vectors.load(pool.work, space.kink_at) > 0.0
+        kinks = field(space, limit + rows.KINK) > 0.0
         settled &= ~kinks
         at_most = vectors.choose(kinks, vectors.smaller(at_most, time_left), at_most)
     there = present & ~settled
@@ -115,11 +115,9 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         searching |= _find_depths(space, regime, event, happened)
 
     special = (settled | lost | ends | grazing | happened | searching) & present
-    if flows.modal[0, flow] != 0:
-        push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
-        push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
-    else:
-        push_all(pool, space.queues.short + group, advancing & ~special)
+    close = close if flows.modal[0, flow] != 0 else -1  # without modes there are no longer spans
+    push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
+    push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
     push_all(pool, space.queues.follow, special & ~searching)
     noted = special | failed
     if noted == 0:
@@ -188,7 +186,7 @@ def _functional(space: Workspace, regime: int, n: int) -> int:
 @inlined_part
 def _origin(space: Workspace, flow: int, f: int) -> curves.Origin:
     """The origin of a functional, at the time that `ELAPSED` says."""
-    return functionals.origin(space, flow, f, space.inputs_at, is_still(space, flow), field(space, rows.ELAPSED))
+    return functionals.origin(space, flow, f, space.inputs_at, field(space, rows.ELAPSED))
 
 
 @inlined_part

@@ -84,7 +84,6 @@ class Workspace(NamedTuple):
     searches_each: int  # L + G + 1
     behind: int  # C, where the numbers that `rows` names begin in a row
     inputs_at: int  # and where u does, what the run's regime makes of its inputs
-    kink_at: int  # and whether the load has not come to rest
     runs: Records  # (S + 1,) RUN
     courses: Records  # (S + 1, L) COURSE
     fastest: FloatArray  # (S, L)  rad/s, of the touches of each lash so far
@@ -135,8 +134,7 @@ def make_workspace(
     queues = Queues(0, groups, 2 * groups, 3 * groups, over, over + 1)
     lashes, driven = len(system.lashes), system.weights.shape[1]
     inputs_at = size + rows.shift(most, lashes)
-    kink_at = inputs_at + driven
-    of_a_run, searches = kink_at + 1, lashes + most + 1
+    of_a_run, searches = inputs_at + driven, lashes + most + 1
     return Workspace(
         system=system,
         systems=rows_of(system, systems),
@@ -149,7 +147,6 @@ def make_workspace(
         searches_each=searches,
         behind=size,
         inputs_at=inputs_at,
-        kink_at=kink_at,
         runs=np.zeros(slots + 1, RUN),
         courses=np.zeros((slots + 1, lashes), COURSE),
         fastest=np.zeros((slots, lashes)),
@@ -233,12 +230,6 @@ def set_field_of(space: Workspace, name: int, lash: int, values: Vector) -> None
 def lash_at(space: Workspace, lash: int) -> int:
     """Where in a run's row the numbers of a lash begin, which `rows` names."""
     return space.behind + rows.of_lash(lash)
-
-
-@inlined_part
-def is_still(space: Workspace, flow: int) -> bool:
-    """Whether no functional of a flow's origin moves, whatever the inputs of a run are; the origin itself may roll."""
-    return bool(space.flows.steady[0, flow] != 0 and space.system.ramps == 0)
 
 
 @inlined_part

@@ -15,7 +15,7 @@ from llvmlite import ir
 from llvmlite.binding import get_host_cpu_features
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+from numba.extending import intrinsic, lower_builtin, models, overload, register_model, type_callable
 
 from clunk.core.arrays import FloatArray
 from clunk.core.jit import inlined_part
@@ -53,17 +53,9 @@ _INT = ir.IntType(64)
 class LanesType(types.Type):
     """numba's type of lanes."""
 
-    def __init__(self) -> None:
-        super().__init__(name="Vector")
 
-
-@register_model(LanesType)
-class _Model(models.PrimitiveModel):
-    def __init__(self, manager: Any, of: Any) -> None:
-        super().__init__(manager, of, _ROW)  # type: ignore[no-untyped-call]
-
-
-_LANES = LanesType()
+_LANES = LanesType("Vector")
+register_model(LanesType)(lambda manager, of: models.PrimitiveModel(manager, of, _ROW))  # type: ignore[no-untyped-call]
 
 
 def _operation(code: Callable[..., Any]) -> Any:
@@ -227,14 +219,9 @@ for _sign, _operator in (
     _binary((_operator,), types.int64, _comparison(_sign))
 
 
-@type_callable(operator.neg)
-def _negated(context: Any) -> Any:
-    return lambda a: _LANES if a == _LANES else None
-
-
-@lower_builtin(operator.neg, _LANES)  # type: ignore[no-untyped-call, untyped-decorator]
-def _negate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-    return builder.fneg(values[0])
+@overload(operator.neg, strict=False)  # types are told of the one, and not of the other
+def _negated(a: Any) -> Any:
+    return (lambda a: a * -1.0) if a == _LANES else None
 
 
 @_operation
