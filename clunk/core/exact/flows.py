@@ -96,9 +96,6 @@ class Chain(NamedTuple):
     rigid: FloatArray
 
 
-_DIMENSIONS = (1, 2, 2, 2, 2, 2, 2)  # of the arrays of a chain of one driveline
-
-
 def build_flows(
     rates: FloatArray,
     inputs: FloatArray,
@@ -107,7 +104,7 @@ def build_flows(
     chains: list[Chain],
     held: list[int],
     drift: FloatArray,
-    spans: int = SPANS,
+    spans: int,
 ) -> Flows:
     """Tables of each flow; the arrays are those of `regimes.System`, of one driveline or of a batch.
 
@@ -142,11 +139,8 @@ def build_flows(
     for k, chain in enumerate(chains):
         matrices = [array[..., k, :, :].reshape(*many, *array.shape[-2:]) for array in arrays]
         # what is common to all of a batch has no axis for it
-        numbers = Chain._make(
-            np.broadcast_to(array, (*many, *array.shape[-dimensions:]))
-            for array, dimensions in zip(chain, _DIMENSIONS, strict=True)
-        )
-        _fill(Flows._make(table[:, k] for table in tables), matrices, numbers, held)
+        inertia = np.broadcast_to(chain.inertia, (*many, chain.inertia.shape[-1]))
+        _fill(Flows._make(table[:, k] for table in tables), matrices, chain._replace(inertia=inertia), held)
     if drift.size:
         rolling = drift[..., : drift.shape[-2] // 2, 0].reshape(-1, drift.shape[-2] // 2)
         _set_rolling_apart(tables.basis, rolling)
@@ -227,10 +221,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     generator, basis = tables.generator, tables.basis
     tables.coordinates[..., place], basis[:, place, :states] = into.swapaxes(-1, -2), back.swapaxes(-1, -2)
     generator[:, place[:, None], place] = shortest[:, None, None] * block
-    if modal:
-        _propagate(generator, tables.propagator)
-    else:
-        tables.propagator[:] = 0.0
+    _propagate(generator, tables.propagator)
 
     derivatives = np.empty((TERMS, *functionals.shape[:2], size))  # by the time over the shortest span
     derivatives[0] = _outputs(functionals, basis[..., :states].swapaxes(-1, -2), chain)

@@ -356,9 +356,8 @@ def _first_zero(
         shifted = order > float(n)
         if shifted == 0:
             break
-        for j in range(TERMS - 1):
+        for j in range(TERMS):
             vectors.store(c, j, vectors.choose(shifted, vectors.load(c, j + 1), vectors.load(c, j)))
-        vectors.store(c, TERMS - 1, vectors.choose(shifted, 0.0, vectors.load(c, TERMS - 1)))
     crosses, s, fall, half, part = taylor.first_zero(c, near, part)
     # only where it falls at once can it turn back within rounding
     start = vectors.load(c, 0)

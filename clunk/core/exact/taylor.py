@@ -140,6 +140,7 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
 def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int, Vector]:
     """The turning point of a series that has but one.
 
+    c : (TERMS + 1, WIDTH) float64, zero in the last row
     slopes : (TERMS, WIDTH) float64
         Scratch.
 
@@ -152,9 +153,8 @@ def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int
     s : Vector
     """
     falls = vectors.load(c, 1) < 0.0
-    for k in range(TERMS - 1):
+    for k in range(TERMS):
         term = vectors.load(c, k + 1) * float(k + 1)
         vectors.store(slopes, k, vectors.choose(falls, -term, term))
-    vectors.store(slopes, TERMS - 1, vectors.splat(0.0))
     turns, straight, s, _, _ = crossing(slopes, length, True)
     return turns, straight, s

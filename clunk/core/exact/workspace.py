@@ -13,7 +13,7 @@ from clunk.core.exact import rows
 from clunk.core.exact.flows import LONG, TERMS, Flows
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
-from clunk.core.lanes.pool import Pool, aligned, make_pool, whole
+from clunk.core.lanes.pool import Pool, aligned, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import reference_at, rows_of
 from clunk.core.regimes import System, driveline_at
@@ -96,7 +96,7 @@ class Workspace(NamedTuple):
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
     # scratch of a step
     seen: FloatArray  # ((G + L) OF_SEEN, W)  see clunk.core.exact.step
-    series: FloatArray  # (TERMS, W)
+    series: FloatArray  # (TERMS + 1, W)  the last row is always zero
     amplitudes: FloatArray  # (C/2, W)  of the items that have been taken
     moved: FloatArray  # (2C, W)
     notes: FloatArray  # (OF_A_SEARCH, W)  for what is done for a lane alone
@@ -140,7 +140,14 @@ def make_workspace(
         systems=rows_of(system, systems),
         flows=flows,
         mixed=int(mixed),
-        pool=make_pool(over + 2, 2 * slots, of_a_run),  # two guards of a functional may be searched at a time
+        pool=Pool(
+            # two guards of a functional may be searched at a time
+            waiting=np.zeros((over + 2, 2 * slots + 1), np.int64),
+            length=np.zeros(over + 2, np.int64),
+            work=aligned(whole(of_a_run)),
+            items=np.zeros(WIDTH, np.int64),
+            places=np.zeros(WIDTH, np.int64),
+        ),
         queues=queues,
         numbers=aligned(slots + 1, whole(of_a_run)),
         searches=aligned((slots + 1) * searches, whole(size + rows.OF_A_SEARCH + driven)),
@@ -158,7 +165,7 @@ def make_workspace(
         margins=np.empty((slots, lashes)),
         states=np.empty((slots, states, system.lashes.shape[1])),
         seen=aligned((most + lashes) * OF_SEEN),
-        series=aligned(TERMS),
+        series=aligned(TERMS + 1),
         amplitudes=aligned(size // 2),
         moved=aligned(2 * size),
         notes=aligned(rows.OF_A_SEARCH),

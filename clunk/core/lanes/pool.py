@@ -17,22 +17,11 @@ from clunk.core.lanes.vectors import ROW, WIDTH
 class Pool(NamedTuple):
     """Queues of items, and the items that have been taken; W lanes."""
 
-    waiting: IntArray  # (queues, items + 1)
+    waiting: IntArray  # (queues, items + 1)  with room for one that is not pushed
     length: IntArray  # (queues,)  how many wait
     work: FloatArray  # (numbers, W)  of the items taken
     items: IntArray  # (W,)  the items taken; the last row of their array in lanes that have none
     places: IntArray  # (W,)  where the numbers of each begin in their array
-
-
-def make_pool(queues: int, items: int, numbers: int) -> Pool:
-    """Empty queues, each with room for `items`, whose arrays have up to `numbers` columns."""
-    return Pool(
-        waiting=np.zeros((queues, items + 1), np.int64),
-        length=np.zeros(queues, np.int64),
-        work=aligned(whole(numbers)),
-        items=np.zeros(WIDTH, np.int64),
-        places=np.zeros(WIDTH, np.int64),
-    )
 
 
 def whole(count: int) -> int:
