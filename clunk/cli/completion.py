@@ -61,17 +61,13 @@ def swept(context: click.Context, _option: click.Parameter, incomplete: str) -> 
 
 def _study(context: click.Context) -> Study | None:
     """Study of the file on the line; None where it has none."""
-    from clunk.study.config import load_study, study_from_text
+    from clunk.cli.options import study_of
     from clunk.study.errors import ClunkError
 
     arguments = [each.name or "" for each in context.command.params if isinstance(each, click.Argument)]
     words = [*(context.params.get(name) for name in arguments), *context.args]  # while an option lacks its value
     path = next((Path(word) for word in words if word is not None and Path(word).is_file()), None)
     try:
-        if path is not None and path.suffix == ".h5":
-            from clunk.results.store import read_map
-
-            return study_from_text(read_map(path).config)
-        return None if path is None else load_study(path)
+        return None if path is None else study_of(path)
     except ClunkError:
         return None

@@ -66,6 +66,17 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON f
 workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
 
 
+def study_of(source: Path, overrides: Sequence[str] = ()) -> Study:
+    """The study of a config, or of a results file."""
+    from clunk.study.config import load_study, study_from_text
+
+    if source.suffix != ".h5":
+        return load_study(source, overrides)
+    from clunk.results.store import read_map
+
+    return study_from_text(read_map(source).config, f"the config in {source}", overrides)
+
+
 def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
     """Values of swept keys that --at names; a `run` stands for the values of its coordinates.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clunk.cli import completion, tables, terminal
-from clunk.cli.options import PATH, at_option, cell_values, json_option, set_option
+from clunk.cli.options import PATH, at_option, cell_values, json_option, set_option, study_of
 from clunk.study.records import Told, fill, words
 
 if TYPE_CHECKING:
@@ -100,17 +100,9 @@ def _studies_to_simulate(
     """Names and studies of the runs to make: one, or one for each combination of overlaid values."""
     from itertools import product
 
-    from clunk.study.config import study_from_text
     from clunk.study.designs import has_tolerances
-    from clunk.study.document import read_text
     from clunk.study.study import replace_values
 
-    if source.suffix == ".h5":
-        from clunk.results.store import read_map
-
-        text, name = read_map(source).config, f"the config in {source}"
-    else:
-        text, name = read_text(source), str(source)
     choices: dict[str, list[str]] = {}
     for assignment in overlay:
         key, equals, listed = assignment.partition("=")
@@ -119,7 +111,7 @@ def _studies_to_simulate(
         choices.setdefault(key, []).extend(f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed))
     studies: list[tuple[str, Study]] = []
     for chosen in product(*choices.values()):
-        study = study_from_text(text, name, [*overrides, *chosen], source.parent)
+        study = study_of(source, [*overrides, *chosen])
         values = cell_values(study, at, all_needed=source.suffix == ".h5")
         if has_tolerances(study) and not studies:
             terminal.complain("tolerances are left aside; this is the nominal run")

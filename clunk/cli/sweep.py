@@ -132,10 +132,8 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     first = result.of_lash()  # all lashes of a cell fail together
     failed = first.failed if isinstance(first, ToleranceMap) else int((first.status != 0).sum())
     if job.held is None:
-        runs = job.ran * (draws + 1)  # and nominally
-        rate = f" ({runs / job.seconds:,.0f} runs/s)" if runs > 0 and job.seconds > 0.0 else ""
         each = f" x {draws:,} draws" if draws else ""
-        click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s{rate}", err=True)
+        click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s", err=True)
     terminal.report_failures(result, " for some draws" if draws else "")
     for caveat in result.caveats:
         terminal.complain(f"note: {caveat}")

@@ -159,10 +159,9 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
         name = PRESETS[0]  # so that the rest of the file can be checked
     preset = _read_preset(name)
     _warn_of_fewer_shafts(name, preset, raw)
-    swept = [axis.get("parameter") for at, axis in _entries(raw) if at[1] == "axes"]
-    together = [key for pair in TORQUES if all(f"load.{key}" in swept for key in pair) for key in pair]
+    swept = [str(axis.get("parameter")).removeprefix("load.") for at, axis in _entries(raw) if at[1] == "axes"]
     of_file = [(table, key) for table in ("load", "lash") if isinstance(raw.get(table), dict) for key in raw[table]]
-    for at in (*of_file, *(("load", key) for key in together)):
+    for at in (*of_file, *(("load", key) for key in swept)):
         _displace(preset, at)
     profile: Place = ("load", "profile")
     word = assignments.get(profile, value_at(raw, profile))
