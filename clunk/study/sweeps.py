@@ -20,6 +20,7 @@ from clunk.study.errors import listing
 from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table
 
 LARGEST_GRID = 2**31  # cells
+_SPAN = ("start", "stop", "count", "scale")  # of an axis, instead of its values
 _NEAREST_TO_EDGE = 2.0**-54  # a point at 0 or 1 itself would be an infinite normal value
 
 
@@ -56,14 +57,11 @@ class Axis(Varied):
     def contradictions(self) -> Iterator[Finding]:
         """Require values, or a start, stop and count that make a span."""
         start, stop, count = self.start, self.stop, self.count
-        spans = [key for key in ("start", "stop", "count", "scale") if getattr(self, key) is not None]
-        if self.values is not None:
-            text = f"values and {', '.join(spans)} are given together; give either values, or start, stop and count"
-            yield from [((), text)] if spans else []
+        given = tuple(key for key in ("values", *_SPAN) if getattr(self, key) is not None)
+        if given not in (("values",), _SPAN):
+            yield (), f"found {listing(given) or 'no values'}; give either start, stop and count, or values"
         elif start is None or stop is None or count is None:
-            missing = [key for key in ("start", "stop", "count") if getattr(self, key) is None]
-            text = f"missing {' and '.join(missing)}" if spans else "no values are given"
-            yield (), f"{text}; give start, stop and count, or values"
+            return
         elif self.scale == "log" and min(start, stop) <= 0.0:
             yield (), f'found {start:g} to {stop:g}; both must be greater than 0 on an axis of scale "log"'
         elif (count == 1) != (start == stop):
@@ -119,6 +117,7 @@ _NUMBERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "lognormal": (("sigma",), ("median", "low", "high")),
     "triangular": (("low", "mode", "high"), ()),
 }
+_OF_DISTRIBUTIONS = ("low", "high", "mean", "std", "median", "sigma", "mode")
 
 
 class Draw(Varied):
@@ -143,12 +142,10 @@ class Draw(Varied):
     def contradictions(self) -> Iterator[Finding]:
         """Require the numbers of the distribution and no others, low < high, and the mode from low to high."""
         needed, possible = _NUMBERS[self.distribution]
-        given = f"a {self.distribution} distribution is given by {listing([*needed, *possible])}"
-        for name in type(self).model_fields:
-            if name in needed and getattr(self, name) is None:
-                yield (name,), f"missing; {given}"
-            elif name in _OF_DISTRIBUTIONS - {*needed, *possible} and getattr(self, name) is not None:
-                yield (name,), f"a {self.distribution} distribution has no {name}; {given}"
+        given = [name for name in _OF_DISTRIBUTIONS if getattr(self, name) is not None]
+        if not {*needed} <= {*given} <= {*needed, *possible}:
+            numbers = listing([*needed, *possible])
+            yield (), f"found {listing(given) or 'no number'}; a {self.distribution} distribution is given by {numbers}"
         low, mode, high = self.low, self.mode, self.high
         if low is not None and high is not None and not low < high:
             yield ("high",), f"found {high:g}; must be greater than low = {low:g}"
@@ -185,9 +182,6 @@ class Draw(Varied):
         else:
             values = drawn + np.zeros_like(nominal)
         return np.asarray(values, np.float64)
-
-
-_OF_DISTRIBUTIONS = {name for needed, possible in _NUMBERS.values() for name in (*needed, *possible)}
 
 
 def _distribution(name: str, n: Mapping[str, float]) -> Any:
