@@ -104,7 +104,6 @@ def test_differing_cells_are_counted_by_transition_and_found_by_their_values() -
     comparison = compare(small(A), small(b))
     assert comparison.differing == 3
     assert comparison.cells == 6
-    assert comparison.share == 0.5
     assert comparison.transitions == (Transition("SS(1)", "DS(1)", 2), Transition("DS(2)", "NI", 1))
     np.testing.assert_array_equal(comparison.differs, [[False, True, False], [True, False, True]])
     assert comparison.differing_cells == [

@@ -137,14 +137,15 @@ high = 1.3
 
 def test_a_robust_optimum_holds_in_the_share_of_the_drivelines_and_costs_time(brief):
     text = DAMPED_RAMP.format(minimize='"load.duration"', subject_to='["severity<=2000"]', longest=0.6)
-    study = study_from_text(text.replace("[[optimize", "robust = 0.75\n[[optimize", 1) + TOLERANCES)
+    study = study_from_text(text.replace("[optimize]", "[optimize]\nrobust = 0.75", 1) + TOLERANCES)
     best = optimize(study)
     drawn = clunk.tolerance_map(
         study_from_text(to_toml(best.study), overrides=["sweep.axes=[{parameter='load.ratio', values=[3.0]}]"])
     )
     assert best.holds
     assert best.share >= 0.75
-    assert best.value >= best.value_of_nominal - 1e-6  # both to 1e-9 of 0.6 s, from searches of their own
+    without = optimize(study_from_text(text))
+    assert best.value >= without.value - 1e-6  # both to 1e-9 of 0.6 s, from searches of their own
     assert drawn.severity_quantiles[0, 1] <= 2000.0  # the median; of 16 drivelines, 12 are within the bound
 
 

@@ -178,7 +178,7 @@ def test_a_bracket_of_noise_is_given_up_and_another_beside_it_is_not():
     ends = np.zeros((2, 2), POINT)
     ends["cell"], ends["value"], ends["outcome"] = np.array([[0], [1]]), [0.0, 1.0], [0, 1]
     ends["measure"] = ends["outcome"] - 0.5
-    low, high = narrow(ends, run, most=8)
+    low, high = narrow(ends.ravel(), run, most=8)
     wide, sharp = low["cell"] == 0, low["cell"] == 1
     assert 8 < wide.sum() < 8 * 20  # one step may make as many of each as it has runs
     assert sharp.sum() == 1

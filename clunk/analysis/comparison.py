@@ -8,7 +8,6 @@ grazing ones; where they differ elsewhere, the step is too coarse.
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -101,7 +100,6 @@ class Comparison(Record):
     titles : of A and of B
     cells : number of cells that have a label in both maps; only these are compared
     differing, differing_elsewhere : number of these whose labels differ, and of those in which no run is flagged
-    share : of the compared cells, those whose labels differ; NaN where no cell could be compared
     touches_equal : number of compared cells with as many touches in A as in B
     failed : number of cells without a label in A only, in B only, and in both
     same_regimes : whether the two agree in every cell: the same label, or failed in both; never if nothing was compared
@@ -124,7 +122,6 @@ class Comparison(Record):
     cells: int = told("cells", key="cells_compared")
     differing: int = told("labels differ in", key="cells_differing")
     differing_elsewhere: int = told("and no run is flagged in")
-    share: float = told("share of all cells", form=".2%", key="share_differing")
     touches_equal: int = told("touches as many in")
     failed: dict[str, int] = told("failed, not compared")
     same_regimes: bool = told()
@@ -188,7 +185,6 @@ def compare(a: Results, b: Results) -> Comparison:
         cells=cells,
         differing=differing,
         differing_elsewhere=elsewhere,
-        share=differing / cells if cells else math.nan,
         touches_equal=_count(compared & (a.touches == b.touches)),
         failed={
             "a_only": _count(failed_a & ~failed_b),

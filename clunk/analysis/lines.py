@@ -246,7 +246,7 @@ class Lines:
             return begin[edges] + (distances / length[edges])[..., None] * way[edges]
 
         low, high = narrow(
-            points,
+            points.ravel(),
             lambda edges, distances: self._run(place(edges, distances)),
             _MOST_CROSSINGS,
             may_run=lambda: self._may_run(_ON_EDGES),
@@ -285,7 +285,7 @@ class Lines:
         to_far_end = away[np.arange(len(longest)), np.argmax(_length(away), axis=1)]
         places = np.concatenate([positions[two[:, 1:]].mean(axis=1), crossing + _BESIDE * to_far_end])
         keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], longest]).T), return_index=True)
-        self._cut(keys, places[at], self._run(places[at]))
+        self.triangles.add(keys, places[at], self._run(places[at]))
         return True
 
     def _is_off_chord(self, corners: Nodes) -> Bools:
@@ -311,21 +311,6 @@ class Lines:
         labels = self._run(places.reshape(-1, 2))["outcome"].reshape(-1, 2)
         is_off[asked] = (labels != self.triangles.outcome[corners[asked, :2]]).any(axis=1)
         return is_off
-
-    def _cut(self, keys: Codes, places: Floats, runs: Points) -> None:
-        """Add a node on each of these edges; a known crossing is then on the part whose ends differ."""
-        nodes, (first, second) = len(self.triangles.runs) + np.arange(keys.size), ends_of(keys)
-        self.triangles.add(keys, places, runs)
-        known = np.flatnonzero(np.isin(keys, self.keys))
-        brackets = self.brackets[np.searchsorted(self.keys, keys[known])]
-        nodes, first, second, labels = nodes[known], first[known], second[known], runs["outcome"][known]
-        begin, outcome = self.triangles.positions[first], self.triangles.outcome
-        distances = _length(brackets - begin[:, None])
-        distance = _length(places[known] - begin)
-        is_before = (labels == outcome[second]) & (distances[:, 1] <= distance)
-        is_behind = (labels == outcome[first]) & (distance <= distances[:, 0])
-        self._keep(keys_of(first, nodes)[is_before], brackets[is_before])
-        self._keep(keys_of(second, nodes)[is_behind], brackets[is_behind, ::-1])
 
     def _wide(self) -> Nodes:
         """Triangles with an edge whose crossing is not located, (n, 3)."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from clunk.core.runs import BEGIN
 from clunk.results.quantities import YES_NO, measuring, quantity_of
 from clunk.simulation.load import loads_of
 from clunk.study.arrays import Bools, Floats
-from clunk.study.designs import design_of, has_tolerances, nominal
+from clunk.study.designs import design_of, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.models import Optimize
 from clunk.study.parameters import drawn_numbers, nominal_value, with_draws
@@ -47,7 +47,6 @@ class Optimum(Record):
     quantities : what is minimised, and the conditions -> the worst of all cells and drivelines
     margin : least distance of a run to another label; NaN where the method tells none
     share : of the drivelines in which the conditions hold; None without tolerances
-    value_of_nominal : with tolerances the least value of the driveline without; else None
     found : how many of the starts found this value
     runs : how many it took
     holds : whether all conditions do
@@ -60,7 +59,6 @@ class Optimum(Record):
     quantities: dict[str, float | bool] = told()
     margin: float = told("margin to another label", form=".3g")
     share: float | None = told("share of the drivelines", form=".4g")
-    value_of_nominal: float | None = told("best without tolerances", form=".9g")
     found: int = told(f"found by so many of {_STARTS} starts")
     runs: int = told("runs")
     holds: bool = told()
@@ -285,12 +283,7 @@ def optimize(
             if found:
                 stopped.args = (_optimum(problem, study, found), *stopped.args)
             raise
-    best = _optimum(problem, study, found)
-    if not has_tolerances(study):
-        return best
-    free = problem.optimize.model_copy(update={"robust": None})
-    undrawn = optimize(nominal(study).model_copy(update={"optimize": free}), lash=lash, workers=workers)
-    return replace(best, value_of_nominal=undrawn.value, runs=best.runs + undrawn.runs)
+    return _optimum(problem, study, found)
 
 
 def front(study: Study, quantity: str, **options: Any) -> Front:
@@ -353,7 +346,6 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
         quantities=quantities,
         margin=float(outcomes.margin[k]),
         share=float(outcomes.share[k]) if problem.shape[1] > 1 else None,
-        value_of_nominal=None,
         found=int((merits <= merits[k] + _SAME).sum()),
         runs=problem.runs,
         holds=bool(outcomes.excess[k] == 0.0),

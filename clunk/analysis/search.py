@@ -2,7 +2,7 @@
 
 A cell is whatever the runs differ in besides: a driveline, a line across a map. Known points of each, in the order of
 their values, are looked through (`with_hidden`): where outcomes may change and change back between two of them, further
-ones are run. Between neighbours of different outcome lies a bracket (`brackets`), which is narrowed (`narrow`).
+ones are run. Between neighbours of different outcome lies a bracket, which is narrowed (`narrow`).
 
 What decides is the outcomes of a bracket's two ends. Where to look is said by a number of the runs (the margin, or how
 much a severity exceeds its bound), if it changes sign with them: on either side of the place where the secant through
@@ -123,32 +123,29 @@ def _may_hide(points: Points) -> Bools:
     return suspect
 
 
-def brackets(points: Points) -> Points:
-    """Brackets as `narrow` takes them, (n, 2), between neighbours whose outcomes differ.
-
-    points : in the order of cells and, in each, of values
-    """
-    apart = (points["cell"][:-1] == points["cell"][1:]) & (points["outcome"][:-1] != points["outcome"][1:])
-    pairs: Points = points[np.flatnonzero(apart)[:, None] + [0, 1]]
-    return pairs
+def _changes(points: Points, parts: Codes) -> Codes:
+    """Positions of the points (n,) whose outcome differs from the next one's, where that is in the same part (n,)."""
+    changes: Codes = np.flatnonzero((parts[:-1] == parts[1:]) & (points["outcome"][:-1] != points["outcome"][1:]))
+    return changes
 
 
 def narrow(
-    ends: Points,
+    points: Points,
     run: Run,
     most: int,
     span: float = 1.0,
     may_run: Callable[[], bool] = lambda: True,
 ) -> tuple[Points, Points]:
-    """Narrow brackets to `TOLERANCE` of the span; returns their lower and their upper ends, by cell and value.
+    """Narrow the brackets between points of different outcome to `TOLERANCE` of the span, by cell and value.
 
-    Those of which one end is a run that failed are narrowed to `OFF_FAILURES`.
+    Returns their lower and their upper ends. Those of which one end is a failed run are narrowed to `OFF_FAILURES`.
 
+    points : (n,) in the order of cells and, in each, of values
     most : that one of the brackets may become; those of one that becomes more are returned as wide as they are
-    ends : (n, 2), at ascending values of one cell, of different outcome
     may_run : asked before each batch; once it says no, all brackets are returned as wide as they are
     """
     tolerance = TOLERANCE * span
+    ends = points.take(_changes(points, points["cell"])[:, None] + np.arange(2))
     is_slow, narrowed = np.zeros(len(ends), bool), [ends[:0]]
     origin, begun = np.arange(len(ends)), len(ends)  # of each bracket the one that it is a part of
     finished = np.zeros(begun, np.int64)  # parts of each
@@ -179,7 +176,7 @@ def narrow(
         points, bracket = np.concatenate([ends.ravel(), runs]), np.append(np.repeat(np.arange(len(ends)), 2), rows)
         order = np.lexsort((points["value"], bracket))
         points, bracket = points.take(order), bracket[order]
-        at = np.flatnonzero((bracket[:-1] == bracket[1:]) & (points["outcome"][:-1] != points["outcome"][1:]))
+        at = _changes(points, bracket)
         ends, bracket = points.take(at[:, None] + np.arange(2)), bracket[at]
         is_slow = ends["value"][:, 1] - ends["value"][:, 0] > _STALLED * width[bracket]
         origin = origin[bracket]

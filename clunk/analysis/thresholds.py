@@ -35,7 +35,6 @@ from clunk.analysis.search import (
     PointRuns,
     Points,
     Word,
-    brackets,
     check_axis,
     grid_axes,
     narrow,
@@ -260,7 +259,7 @@ def thresholds(
 
         points, _ = with_hidden(run(points["cell"], points["value"]), run, _HALVINGS)
         span = float(np.ptp(along_axis.values))
-        low, high = narrow(brackets(points), run, _MOST, span)
+        low, high = narrow(points, run, _MOST, span)
     return Thresholds(
         study=study,
         along=along_axis,

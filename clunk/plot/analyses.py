@@ -81,16 +81,11 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
 
     Raises PlotError unless two axes were swept.
     """
-    layers = Layers.of(results, View.of_plane(results))
-    across, upward = layers.view.keep
-    points = tuple(
-        Measured(point.values[across], point.values[upward], point.measured, point.agrees)
-        for point in comparison.points
-        if point.computed is not None
-    )
+    inside = [(point.at, point.measured, point.agrees) for point in comparison.points if point.computed is not None]
+    layers = _with_points(results, inside)
     facts = (*layers.facts, f"points: measured, {comparison.experiment}", comparison.caveat)
     outside = (Note(f"outside the map, not counted: {comparison.outside}", ""),) if comparison.outside else ()
-    return map_figure([replace(layers, points=points, facts=facts, notes=outside)])
+    return map_figure([replace(layers, facts=facts, notes=outside)])
 
 
 def measured_on_maps(fitted: Fitted) -> Figure:
@@ -103,14 +98,18 @@ def measured_on_maps(fitted: Fitted) -> Figure:
     panels, names = [], []
     matches = {"nominal": fitted.nominal_matches, "fitted": fitted.estimate_matches}
     for (name, of_name), results in zip(matches.items(), fit_maps(fitted), strict=True):
-        layers = Layers.of(results, View.of_plane(results))
-        places = fitted.points[:, [fitted.axes.index(axis.parameter) for axis in layers.view.axes]].tolist()
-        labels = [each.label for each in fitted.experiment.measurements]
         met = (of_name["label"] == fitted.wanted).tolist()
-        points = tuple(Measured(x, y, label, is_met) for (x, y), label, is_met in zip(places, labels, met, strict=True))
-        panels.append(replace(layers, points=points))
-        names.append(f"{name}: {sum(met)} of {len(points)} labels")
+        points = [(each.at, each.label, is_met) for each, is_met in zip(fitted.measured, met, strict=True)]
+        panels.append(_with_points(results, points))
+        names.append(f"{name}: {sum(met)} of {len(met)} labels")
     return map_figure(panels, names)
+
+
+def _with_points(results: Results, points: Sequence[tuple[Mapping[str, float], str, bool]]) -> Layers:
+    """The layers of a map with measured points: values by parameter, label, and whether the model has it there."""
+    layers = Layers.of(results, View.of_plane(results))
+    x, y = (axis.parameter for axis in layers.view.axes)
+    return replace(layers, points=tuple(Measured(at[x], at[y], label, is_met) for at, label, is_met in points))
 
 
 # --- Thresholds
