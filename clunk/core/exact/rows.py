@@ -13,7 +13,7 @@ TRY = 3  # s, the longest span that is proposed next
 _FIRST = 4
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
-# And those that they do not change. A step reads 8 numbers at a time: a driveline of four inertias has no more than 32.
+# Up to the last lash's window, steps change them; those behind they do not. A step reads 8 numbers at a time: a driveline of four inertias has no more than 32.
 MARGIN = 2
 HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the sticking time
 SIDE = 4  # by which the guards' signs are those of the group's first regime: 1 or -1
@@ -42,12 +42,6 @@ AT_END = 2  # of the run, or of the load's piece
 SETTLED = 3  # it is proved that nothing follows
 LOST = 4  # nothing is finite any more
 BY_EVENT = 5  # a guard turned negative: RUN's `guard`
-
-
-@inlined_part
-def changing(lashes: int) -> int:
-    """How many numbers of a run steps change: up to the last lash's window."""
-    return of_lash(lashes - 1) + MARGIN
 
 
 @inlined_part

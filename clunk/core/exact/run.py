@@ -19,7 +19,6 @@ from clunk.core.exact.search import search
 from clunk.core.exact.step import take_step
 from clunk.core.exact.workspace import Workspace, lash_at, log_of, system_at, system_of
 from clunk.core.jit import inlined_part, part
-from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import frictions_of, gap_input, inputs_of, lashes_of
@@ -104,7 +103,6 @@ def advance(space: Workspace, stop: StopFlag) -> None:
 
     Those wait in the queue `over`. A queue has its turns while it fills the lanes, and then the longest one has.
     """
-    vectors.align_stack()
     pool, queues, queue = space.pool, space.queues, space.queues.span
     while pool.length[queues.over] < WIDTH and stop[0] == 0:
         if pool.length[queue] < WIDTH:

@@ -110,7 +110,8 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     arrived = ends & kinks & ~lost
     if (happened | arrived) != 0:
         moving.to_states(space, flow, happened | arrived)
-    put_back(pool, space.numbers, space.behind + rows.changing(lashes_of(system)), advancing)
+    changing = rows.of_lash(lashes_of(system) - 1) + rows.MARGIN
+    put_back(pool, space.numbers, space.behind + changing, advancing)
     if happened != 0:
         searching |= _find_depths(space, regime, event, happened)
 

@@ -84,18 +84,6 @@ def _loaded(builder: Any, pointer: Any) -> Any:
 
 
 @_operation
-def align_stack(typing: Any) -> Any:
-    """Let what the calling function keeps on the stack lie where a register's worth of memory begins."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        builder.function.attributes.add("noinline")  # llvmlite writes alignstack only beside another
-        builder.function.attributes.alignstack = 8 * ROW
-        return context.get_dummy_value()
-
-    return types.void(), emit
-
-
-@_operation
 def load(typing: Any, array: Any, row: Any) -> Any:
     """A row of an array."""
 
