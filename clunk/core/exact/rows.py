@@ -13,7 +13,8 @@ TRY = 3  # s, the longest span that is proposed next
 _FIRST = 4
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
-# Up to the last lash's window, steps change them; those behind they do not. A step reads 8 numbers at a time: a driveline of four inertias has no more than 32.
+# Up to the last lash's window steps change them, and those behind they do not. A step reads 8 numbers at a time: a
+# driveline of four inertias has no more than 32.
 MARGIN = 2
 HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the sticking time
 SIDE = 4  # by which the guards' signs are those of the group's first regime: 1 or -1
