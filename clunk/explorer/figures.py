@@ -18,6 +18,7 @@ from bokeh.models import (
     Model,
     Range1d,
     Span,
+    Whisker,
 )
 from bokeh.plotting import figure
 from matplotlib.colors import to_hex
@@ -287,9 +288,7 @@ class RunFigures:
         lash.text("x", "y", "text", source=flanks, text_baseline="baseline", text_color=FAINT_INK, x_offset=4, **_TEXT)
         look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
         lash.scatter("x", "y", source=touches, marker="triangle", **look)
-        acceleration.segment("x", "low", "x", "high", source=arrows, color=INK, line_width=1.0)
-        for end, angle in (("low", np.pi), ("high", 0.0)):
-            acceleration.scatter("x", end, source=arrows, marker="triangle", size=5, color=INK, angle=angle)
+        acceleration.add_layout(Whisker(base="x", lower="low", upper="high", source=arrows, line_color=INK))
         above: dict[str, Any] = {"text_align": "center", "text_baseline": "bottom", "y_offset": -2}
         acceleration.text("x", "high", "text", source=arrows, **above, **_TEXT)
         for name in ("start", "end"):

@@ -226,7 +226,6 @@ class Workbench:
             self._hover(None)
         else:
             self._pins = []
-            self._mark()
             self._show_runs()
 
     def _on_quantity(self) -> None:
@@ -237,7 +236,6 @@ class Workbench:
     def _pin_run(self) -> None:
         if self._run is not None:
             self._pins = [*self._pins, self._run][-_PINS:]
-            self._mark()
             self._show_runs()
 
     def _save(self) -> None:
@@ -272,8 +270,10 @@ class Workbench:
                 self._soon(partial(self._take_run, None, str(error)))
                 return
             go_on()
-            shown = Shown(cell, values, numbers, history, self._place(values, numbers))
-            self._soon(partial(self._take_run, shown))
+            swept = self._subject.values(values)
+            place = [value_text(axis, swept[axis.parameter], symbol=True) for axis in self._subject.swept]
+            place += [f"{name} = {number_text(value)}" for name, value in numbers.items()]
+            self._soon(partial(self._take_run, Shown(cell, values, numbers, history, ", ".join(place))))
 
         self._newest_run.submit(work)
 
@@ -283,8 +283,6 @@ class Workbench:
         if shown is None:
             self._figures.refuse(refusal)
         self._show_runs()
-        # with the run: before, the browser would draw the map, and take that much later what the run sends
-        self._mark()
         self._keep_link()
 
     def _show_runs(self) -> None:
@@ -293,16 +291,7 @@ class Workbench:
             note = "" if self._run.numbers else self._subject.likelihood(self._run.values, self._lash.value)
             lash = self._subject.results.lash_names.index(self._lash.value)
             self._figures.show(self._run, self._pins, lash, note)
-
-    def _place(self, values: Mapping[str, float], numbers: Mapping[str, float]) -> str:
-        """Values of all axes, and numbers, in words."""
-        swept = self._subject.values(values)
-        texts = [value_text(axis, swept[axis.parameter], symbol=True) for axis in self._subject.swept]
-        texts += [f"{name} = {number_text(value)}" for name, value in numbers.items()]
-        return ", ".join(texts)
-
-    def _mark(self) -> None:
-        if self._map:
+        if self._map:  # after the run: before it, the browser would draw the map, and take the run that much later
             pinned = zip((pin.cell for pin in self._pins), RUN_COLOURS[1:], strict=False)
             self._map.mark([*pinned, (self._cell, RUN_COLOURS[0])])
 

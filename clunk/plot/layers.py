@@ -212,11 +212,6 @@ class Layers:
         return np.vstack([np.column_stack(cells), self.unresolved])
 
     @property
-    def places(self) -> tuple[Floats, ...]:
-        """Coordinates of points, x and y; over one axis y is the quantity. None of a grid."""
-        return (*self.view.places, self.values)[:2] if self.view.places else ()
-
-    @property
     def has_light_lines(self) -> bool:
         """Whether boundaries are seen as light lines: on all colours but those that begin or turn at white."""
         return self.quantity.type != YES_NO and self.quantity.name != "margin"

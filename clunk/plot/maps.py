@@ -96,7 +96,7 @@ def draw(
     if facets:
         return facet_map(drawn, facets, quantity, x, y)
     layers = Layers.of(drawn, View.of(drawn, x, y), quantity)
-    if layers.places or len(layers.view.axes) > 1:
+    if layers.view.places or len(layers.view.axes) > 1:
         return map_figure([layers], thresholds=thresholds)
     return strip(layers)
 
@@ -151,7 +151,7 @@ def map_figure(
     notes: list[Artist] = []
     for ax, layers in zip(axes, panels, strict=True):
         notes += _write_on_map(ax, layers, is_single=is_single)
-    if is_single and not first.places and shades is None:
+    if is_single and not first.view.places and shades is None:
         _mark_thresholds(axes[0], first, thresholds)
     for ax in axes:
         notes += ax.get_legend_handles_labels()[0]
@@ -242,11 +242,11 @@ def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
 
 def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: float) -> None:
     """Fill the regions, or the cells with a quantity's colours, and draw lines and marks."""
-    if layers.places:
+    if layers.view.places:
         colours = cell_colours(layers, shades) / 255.0
         count = len(colours)
         points: Look = {"edgecolors": INK, "linewidths": 0.2, "rasterized": count > MOST_POINTS}
-        across, upward = layers.places
+        across, upward = (*layers.view.places, layers.values)[:2]  # over one axis y is the quantity
         ax.scatter(across, upward, s=max(2.0, 40.0 - 0.1 * count), c=colours, **points)
         ax.margins(0.03)
         ax.autoscale()
@@ -280,9 +280,9 @@ def _fill_regions(ax: Axes, layers: Layers) -> None:
 
 def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
     """Draw the measured points with their labels, and write the regions' names; returns the notes that they need."""
-    unnamed: Sequence[str] = layers.names if layers.places and not layers.shaded else ()
+    unnamed: Sequence[str] = layers.names if layers.view.places and not layers.shaded else ()
     is_crowded = False
-    if not layers.shaded and not layers.places:
+    if not layers.shaded and not layers.view.places:
         raster, (sizes, size) = Raster.of(ax, layers), _SIZES[is_single]
         for agrees, (gid, marker) in _POINT_LOOKS.items():
             places = [(point.x, point.y) for point in layers.points if point.agrees == agrees]
