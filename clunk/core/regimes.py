@@ -190,6 +190,15 @@ def rate_of_friction(system: System, friction: int) -> int:
 
 
 @inlined_part
+def lash_of(system: System, regime: int, guard: int) -> int:
+    """The lash that a guard is of, or -1.
+
+    Where it is read without this function, the exact method takes a quarter longer.
+    """
+    return int(system.guards[regime, guard].lash)
+
+
+@inlined_part
 def speed_of(system: System, lash: int, x: FloatArray) -> float:
     """The speed q' of a lash  [rad/s]."""
     speed = 0.0

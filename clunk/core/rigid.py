@@ -18,6 +18,7 @@ from clunk.core.regimes import (
     frictions_of,
     gap_input,
     guard_of,
+    lash_of,
     lashes_of,
     opened,
     speed_of,
@@ -41,9 +42,10 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     branches do, all of them rebound, or come to rest, by their speeds before.
     """
     system, x = at.system, at.x
-    side, lash = system.guards[regime, guard].side, system.guards[regime, guard].lash
+    side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
+    fastest[lash] = max(fastest[lash], abs(speed))
     regime = opened(system, _resting_on(at, log, regime, count), lash)
-    slowest, before = _locking_speed(at, regime, lash, speed, fastest), regime
+    slowest, before = _locking_speed(at, regime, lash, fastest[lash]), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
     held = held_with(system, regime, lash)
     if held != 0 and abs(speed) > slowest:
@@ -95,7 +97,8 @@ def _note_touches_beside(
         is_near = gap <= INSTANT * abs(its_speed) + _APART * size
         if other == lash or system.contacts[regime, other].closed != 0 or not is_near:
             continue
-        slowest = _locking_speed(at, regime, other, its_speed, fastest)
+        fastest[other] = max(fastest[other], abs(its_speed))
+        slowest = _locking_speed(at, regime, other, fastest[other])
         if (system.restitution[other] * abs(its_speed) > slowest) == rebounds:
             count += 1
             events[count].lash, events[count].speed = other, its_speed
@@ -177,8 +180,8 @@ def release(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
 
     Where several lashes are closed or frictions stick, those part that can, whichever one's torque turned first.
     """
-    system, row = at.system, at.system.guards[regime, guard]
-    side, lash, half_gap = row.side, row.lash, at.inputs[gap_input(row.lash)]
+    system, row, lash = at.system, at.system.guards[regime, guard], lash_of(at.system, regime, guard)
+    side, half_gap = row.side, at.inputs[gap_input(lash)]
     if half_gap > 0.0:
         return enter_chosen(at, log, regime, guard, 0, count)
     _hold(system, held_with(system, regime, lash), lash, at.x, side * half_gap)
@@ -272,14 +275,10 @@ def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
 
 
 @part
-def _locking_speed(at: Moment, regime: int, lash: int, speed: float, fastest: FloatArray) -> float:
-    """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding.
-
-    speed : of a touch  [rad/s]; fastest : (L,) of the touches of each lash so far, updated by it
-    """
-    fastest[lash] = max(fastest[lash], abs(speed))
+def _locking_speed(at: Moment, regime: int, lash: int, fastest: float) -> float:
+    """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding."""
     tolerance = at.system.locking_speed[lash]
-    tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest[lash]
+    tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest
     # a rebound lower than the rounding of the gap cannot be followed
     pull, _ = rubbing.change_of(at, regime, at.system.lashes[lash])
     _, place = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)

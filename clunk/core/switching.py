@@ -17,6 +17,7 @@ from clunk.core.regimes import (
     gap_input,
     guard_of,
     inputs_of,
+    lash_of,
     lashes_of,
     speed_of,
     turn_back,
@@ -181,12 +182,13 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: F
             record(at, log, count, 0.0, STAGE, entry.regime, -1, 0)
             return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
         return entry
-    speed = speed_of(system, row.lash, at.x)
+    lash = lash_of(system, regime, guard)
+    speed = speed_of(system, lash, at.x)
     if system.impulsive != 0:
         if row.event_kind == TOUCH:
             return rigid.strike(at, log, regime, guard, speed, count, fastest)
         return rigid.release(at, log, regime, guard, count)
-    record(at, log, count, speed, row.event_kind, row.successor, row.lash, row.side)
+    record(at, log, count, speed, row.event_kind, row.successor, lash, row.side)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
 
 

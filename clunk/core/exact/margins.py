@@ -17,7 +17,7 @@ from clunk.core.events import OPENING, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import rows
 from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, system_of
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import System, gap_input, lashes_of
+from clunk.core.regimes import System, gap_input, lash_of, lashes_of
 from clunk.core.rigid import holding_torque
 from clunk.core.runs import LEVEL, Moment, Start
 from clunk.core.sequence import is_primary, is_sticking
@@ -72,8 +72,7 @@ def _overlap(system: System, lash: int, side: int, x: FloatArray, inputs: FloatA
 def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
     """Take what the event that ended a run's phase says of the margin of its lash."""
     system, row = at.system, space.runs[slot]
-    guard = system.guards[row.regime, row.guard]
-    lash = guard.lash
+    guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
     if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
         return
     course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
@@ -117,8 +116,7 @@ def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
 def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
     """Whether a label hangs on how deep the guard goes that ended a run's phase."""
     system, row = system_of(space, slot), space.runs[slot]
-    guard = system.guards[row.regime, n]
-    lash = guard.lash
+    guard, lash = system.guards[row.regime, n], lash_of(system, row.regime, n)
     course, now = space.courses[slot, lash], row.time + space.numbers[slot, space.behind + rows.ELAPSED]
     if guard.event_kind == TOUCH:
         return is_primary(guard.side, course.last_side, course.from_sticking != 0)
@@ -131,7 +129,7 @@ def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
 def take_margin_of_guard(space: Workspace, slot: int, guard: int, turn: float, deep: bool) -> None:
     """Take what a search found: the lowest turn of a guard of a run, or how deep the guard of its event would go."""
     run = space.runs[slot]
-    own = space.numbers[slot, lash_at(space, space.system.guards[run.regime, guard].lash) :]
+    own = space.numbers[slot, lash_at(space, lash_of(space.system, run.regime, guard)) :]
     scale = own[rows.SCALE]
     if abs(turn) < abs(own[rows.MARGIN]) * scale:
         margin = (min(turn, 0.0) if deep else max(turn, 0.0)) / scale

@@ -34,7 +34,7 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
-from clunk.core.regimes import ROUNDING, elements_of, inputs_of, lashes_of
+from clunk.core.regimes import ROUNDING, elements_of, inputs_of, lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.tables import ACCELERATION
 
@@ -195,8 +195,7 @@ def _sign(space: Workspace, regime: int, n: int) -> Vector:
     """The sign by which a functional makes guard n; an acceleration is as it is."""
     if n >= space.system.regimes[regime].watched:
         return vectors.splat(1.0)
-    guard = space.system.guards[regime, n]
-    lash, sign = guard.lash, guard.sign
+    lash, sign = lash_of(space.system, regime, n), space.system.guards[regime, n].sign
     return field_of(space, rows.SIDE, lash) * sign if lash >= 0 else vectors.splat(sign)
 
 
@@ -211,7 +210,7 @@ def _shift(space: Workspace, regime: int, n: int) -> Vector:
 @inlined_part
 def _lash(space: Workspace, regime: int, n: int) -> int:
     """The lash whose margin guard n makes; of a guard that makes none, any."""
-    return int(max(space.system.guards[regime, n].lash, 0))
+    return max(lash_of(space.system, regime, n), 0)
 
 
 @inlined_part
