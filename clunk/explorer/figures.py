@@ -380,7 +380,7 @@ class RunFigures:
         arrows: list[tuple[Any, ...]] = []
         for run in self._runs[:1]:
             flanks = [(begin, y, name, "top" if y > 0.0 else "bottom") for y, name in flank_names([run]).items()]
-            for row, side, primary in zip(*run.touches[:3], strict=True):
+            for row, side, primary in zip(*run.touches, strict=True):
                 place = run.time[row], 1e3 * run.backlash_coordinate[row]
                 look = (RUN_COLOURS[0], 10) if primary else ("white", 6)
                 touches.append((*place, 0.0 if side > 0 else np.pi, RUN_COLOURS[0], *look))

@@ -181,7 +181,7 @@ def draw_backlash(ax: Axes, runs: Runs, looks: Looks) -> None:
     for run in runs:
         coordinate, look = 1e3 * run.backlash_coordinate, looks[run.name]
         ax.plot(run.time, coordinate, zorder=3, **look)
-        for row, side, primary in zip(*run.touches[:3], strict=True):
+        for row, side, primary in zip(*run.touches, strict=True):
             marker: Look = {"marker": "^" if side > 0 else "v", "gid": "primary" if primary else "secondary"}
             marker |= _touch_look(look["color"], primary=primary, size=size)
             ax.plot(run.time[row], coordinate[row], **marker)

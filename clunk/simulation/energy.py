@@ -35,8 +35,7 @@ _ORDER = 18  # of the power series, up to |A| t = 1/4: (2 |A| t)^18 / 18! is 1e-
 class EnergyBalance(Record):
     """Stored, supplied and lost energies of a run, from the load step to its end  [J]; S shafts.
 
-    shafts_before, shafts_after : (S,) stored in each shaft's spring
-    contact_before, contact_after : stored in the indented flanks; 0 for the restitution model
+    stored_before, stored_after : kinetic, in the shafts' springs, and in the indented flanks of the indentation model
     damped_in_shafts, rubbed_in_shafts : (S,) taken by dampers, and by friction
     lost_at_impacts : of the restitution model
     dropped : left in flanks that overlap as they part, of separation by force
@@ -44,30 +43,14 @@ class EnergyBalance(Record):
     """
 
     work: float = told("work of the load", "J")
-    kinetic_before: float = told()
-    kinetic_after: float = told()
-    shafts_before: tuple[float, ...] = told()
-    shafts_after: tuple[float, ...] = told()
-    contact_before: float = told()
-    contact_after: float = told()
+    stored_before: float = told("stored before", "J")
+    stored_after: float = told("stored at the end", "J")
     damped_in_shafts: tuple[float, ...] = told()
     damped_in_contact: float = told("damped in contact", "J")
     rubbed_in_shafts: tuple[float, ...] = told()
     lost_at_impacts: float = told("lost at impacts", "J")
     dropped: float = told("dropped at partings", "J")
     regained: float = told("regained at rejoins", "J")
-
-    @property
-    @tells("stored before", "J")
-    def stored_before(self) -> float:
-        """Kinetic energy and that of every spring, at the load step  [J]."""
-        return math.fsum((self.kinetic_before, *self.shafts_before, self.contact_before))
-
-    @property
-    @tells("stored at the end", "J")
-    def stored_after(self) -> float:
-        """Kinetic energy and that of every spring, at the end of the run  [J]."""
-        return math.fsum((self.kinetic_after, *self.shafts_after, self.contact_after))
 
     @property
     @tells("damped in all", "J")
@@ -131,11 +114,11 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     def at_event(x: Floats, lash: int, side: int) -> float:
         return float(indented(x, np.full(len(line.lashes), side))[lash])
 
-    def stored(x: Floats, regime: int) -> tuple[float, tuple[float, ...], float]:
-        """Energies stored in the inertias, in each shaft and in the contact."""
+    def stored(x: Floats, regime: int) -> float:
+        """Energy stored in the inertias, in the shafts and in the contact."""
         shafts, contacts = line.shaft_energy(x[:n]), system.contacts[regime]
         contact = indented(x, contacts["side"])[contacts["closed"] > 0].sum()
-        return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), float(contact)
+        return math.fsum((line.inertia @ x[n : 2 * n] ** 2 / 2.0, *shafts, contact))
 
     work, damped, rubbed, x = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts)), states[0]
     held = held_inputs(len(line.lashes), len(line.frictions), system.weights.shape[1])
@@ -171,16 +154,10 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))
         for chosen in (by_force & (events["kind"] == SEPARATION), by_force & (events["kind"] == REJOIN))
     )
-    kinetic_before, shafts_before, contact_before = stored(states[0], events["regime"][0])
-    kinetic_after, shafts_after, contact_after = stored(x, events["regime"][-1])
     return EnergyBalance(
         work=work,
-        kinetic_before=kinetic_before,
-        kinetic_after=kinetic_after,
-        shafts_before=shafts_before,
-        shafts_after=shafts_after,
-        contact_before=contact_before,
-        contact_after=contact_after,
+        stored_before=stored(states[0], events["regime"][0]),
+        stored_after=stored(x, events["regime"][-1]),
         damped_in_shafts=tuple(damped[: len(line.shafts)].tolist()),
         damped_in_contact=float(damped[len(line.shafts) :].sum()),
         rubbed_in_shafts=tuple(rubbed.tolist()),

@@ -60,21 +60,22 @@ class SmallGap(NamedTuple):
         """The response of a study's driveline to its load. Raises ClunkError where there is none:
         without steady motion or oscillation, or with a load that does not reach the lash."""
         driveline, system = Driveline.from_study(study), build(study)
-        if len(study.lashes) > 1:
-            raise ClunkError("There is no one response to draw: several lashes do not change sides together.")
-        if driveline.staged or driveline.frictions:
-            raise ClunkError("There is no one response to draw: shafts with stages or friction are not linear.")
+        if len(study.lashes) > 1 or driveline.staged or driveline.frictions:
+            raise ClunkError(
+                "There is a response to draw of one lash in a linear driveline, without stages and friction."
+            )
         modes = driveline.modes(closed=True)
         if system.status != Status.OK:
             raise ClunkError(f"There is no response to draw: {explained(study, Status(system.status))}.")
-        if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
-            raise ClunkError("There is no decay to draw: the driveline has no damped oscillation in contact.")
         before, load = run_load(study)
         before[np.arange(before.size) != TORQUE] = 0.0  # without a gap
         after = inputs_of(before, load, -1)
         rest = preload(system, before)
-        if rest.sides[0] == 0:
-            raise ClunkError("There is no response to draw: the lash carries no torque before the load step.")
+        if rest.sides[0] == 0 or modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
+            raise ClunkError(
+                "There is no response to draw: the lash carries no torque before the load step, or the driveline has "
+                "no damped oscillation in contact."
+            )
         frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
         decay = 2.0 * np.pi * frequency * damping_ratio
         start, end = (float(system.contact_torque[0, 0, TORQUE] * inputs[TORQUE]) for inputs in (before, after))
