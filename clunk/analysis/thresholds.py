@@ -153,7 +153,7 @@ class Thresholds:
     def csv(self) -> str:
         """Comma-separated values of `rows`."""
         text = io.StringIO()
-        rows = [row | {side: word_text(row[side]) for side in ("below", "above")} for row in self.rows()]
+        rows = self.rows()
         writer = csv.DictWriter(text, rows[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -174,11 +174,6 @@ class Thresholds:
         places = tuple(axis.nearest(at[name]) for name, axis in names.items())
         cell = int(np.ravel_multi_index(places, self.shape)) if places else 0
         return [(begin, end) for begin, end, code in self.intervals(cell) if self.word(code) == word]
-
-
-def word_text(word: Word) -> str:
-    """An outcome as text: true and false for whether something holds."""
-    return str(word).lower() if isinstance(word, bool) else str(word)
 
 
 def thresholds(

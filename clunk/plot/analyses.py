@@ -17,7 +17,7 @@ from clunk.analysis.fitted import Fitted, fit_maps
 from clunk.analysis.measurements import ExperimentComparison
 from clunk.analysis.optimisation import Front
 from clunk.analysis.sobol import CONFIDENCE, Sensitivity
-from clunk.analysis.thresholds import DRAW, QUANTILE, Thresholds, word_text
+from clunk.analysis.thresholds import DRAW, QUANTILE, Thresholds
 from clunk.plot import style
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
@@ -27,7 +27,7 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.parameters import quantity
-from clunk.study.records import counted
+from clunk.study.records import counted, words
 
 _RARE_COLOUR = "#a9adb0"
 _MARKED = 6  # transitions with colours of their own
@@ -160,9 +160,7 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
     fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis.values) == 1]
     notes: list[Artist] = []
     for code in sorted(seen):
-        word = thresholds.word(code)
-        name = ("no", "yes")[word] if isinstance(word, bool) else word_text(word)
-        notes.append(style.swatch(name, [*fills, style.FAILED_FILL][code]))
+        notes.append(style.swatch(words(thresholds.word(code)), [*fills, style.FAILED_FILL][code]))
     line = "; ".join([f"{drawn}: {plain.outcome.heading_with_unit}", *fixed])
     style.lay_out(figure, ax, study.title, line, [*notes, *(curves if nominal else [])])
     return figure
