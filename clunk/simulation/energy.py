@@ -121,6 +121,8 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         return math.fsum((line.inertia @ x[n : 2 * n] ** 2 / 2.0, *shafts, contact))
 
     work, damped, rubbed, x = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts)), states[0]
+    squares = np.zeros((len(rows), *system.rates.shape[1:]))  # F of each damper: its speed = row · θ'
+    squares[:, :n, :n] = rows[:, :, None] * rows[:, None, :]
     held = held_inputs(len(line.lashes), len(line.frictions), system.weights.shape[1])
     torques = [twist - 1 for twist in held[len(line.lashes) :]]
     for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
@@ -128,7 +130,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         for stretch in stretches(system, before, load, event["regime"], start, *times):
             regime, length = stretch.regime, stretch.end - stretch.begin
             rates = regime.rates @ stretch.x + regime.forcing
-            travel, taken = _integrals(regime.rates, _squares(rows, rates.size), length)
+            travel, taken = _integrals(regime.rates, squares, length)
             moved = travel @ rates
             work += float(regime.inputs[TORQUE] * (line.load @ moved[:n]))
             work += _work_of_wave(regime, stretch.x, line.load, length)
@@ -165,14 +167,6 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         dropped=dropped,
         regained=regained,
     )
-
-
-def _squares(rows: Floats, size: int) -> Floats:
-    """F of each damper, (m, size, size), from rows (m, n): its speed = row · θ'."""
-    n = rows.shape[1]
-    forms = np.zeros((rows.shape[0], size, size))
-    forms[:, :n, :n] = rows[:, :, None] * rows[:, None, :]
-    return forms
 
 
 def _work_of_wave(regime: Regime, x: Floats, load: Floats, length: float) -> float:

@@ -6,6 +6,7 @@ f(0) = 1. It is on the other flank while f < -1/σr, so that every excursion of 
 and back. With the lowest mode alone f = exp(-ζ1 ω t) cos ω t, and each of its minima adds one.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -118,10 +119,8 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     Empty without a static torque across the lash or an eigenbasis to speak of, and for shafts with stages.
     """
     contact = study.lashes[0].contact.model_copy(update={"model": "restitution"})
-    shafts = tuple(shaft.model_copy(update={"friction": 0.0}) for shaft in study.driveline.shafts)
-    line = study.driveline.model_copy(update={"shafts": shafts})  # linear: friction is none
-    lash = study.lashes[0].model_copy(update={"contact": contact})
-    system = build(study.model_copy(update={"lash": lash, "driveline": line}))
+    rigid = study.model_copy(update={"lash": study.lashes[0].model_copy(update={"contact": contact})})
+    system = build(rigid, replace(Driveline.from_study(rigid), shaft_friction=np.zeros(len(study.driveline.shafts))))
     carried = system.contact_torque[0, 0, TORQUE]
     if carried == 0.0 or len(system.preload) > 1:
         return np.empty(0)
