@@ -85,7 +85,8 @@ def from_history(run):
     stored = lash.radius**2 * lash.contact.stiffness * (np.abs(q) - np.deg2rad(lash.backlash_deg) / 2) ** 2 / 2.0
     damped = (history.contact != 0) * lash.radius**2 * lash.contact.damping * speed**2
     impacts, rigid = [], history.is_restitution
-    for rows in (impact.rows for impact in history.impacts):
+    limits = [*np.flatnonzero(np.isin(history.event, run.primaries)), history.time.size]
+    for rows in map(slice, limits[:-1], limits[1:]):
         events = rows.start + np.flatnonzero(history.event[rows] >= 0)
         kinds, pressing = run.events["kind"][history.event[events]], run.events["side"][history.event[rows.start]]
         impulse, energy = (

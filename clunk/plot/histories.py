@@ -243,7 +243,7 @@ def _mark_severity(ax: Axes, run: History) -> None:
 
 def measured_impacts(run: History) -> Sequence[Impact]:
     """The primary impacts whose peak-to-peak accelerations are marked: none where they would hide the curve."""
-    impacts = [each for each in run.impacts if each.rows.stop > each.rows.start and not run.is_restitution]
+    impacts = [each for each in run.impacts if each.begin <= run.time[-1] and not run.is_restitution]
     return impacts if len(impacts) <= _LABELLED else []
 
 

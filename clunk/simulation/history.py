@@ -47,7 +47,6 @@ class Impact(NamedTuple):
     severity: float  # Q_i, rad/s2; NaN where it is not defined
     begin: float  # s, on the history's time axis
     end: float  # likewise; inf for the last one
-    rows: slice  # of the history; empty where it was not sampled for so long
     largest: float  # rad/s2
     smallest: float
 
@@ -145,9 +144,6 @@ class History:
         """The primary impacts, in order."""
         events, step_time = self.trajectory.events, self.study.load.step_time
         extremes = self.trajectory.extremes[:, self.trajectory.lash]
-        row = np.full(events.size + 1, self.time.size)
-        sampled = np.flatnonzero(self.event >= 0)
-        row[self.event[sampled]] = sampled
         limits = [*self.trajectory.primaries.tolist(), events.size]
         return tuple(
             Impact(
@@ -155,7 +151,6 @@ class History:
                 severity=float(self.trajectory.impact_severity[number - 1]),
                 begin=float(step_time + events["time"][k]),
                 end=float(step_time + events["time"][following]) if following < events.size else np.inf,
-                rows=slice(int(row[k]), int(row[following])),
                 largest=float(extremes[k:following, 0].max()),
                 smallest=float(extremes[k:following, 1].min()),
             )
