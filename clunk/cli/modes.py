@@ -2,57 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import json_option, study_argument
-from clunk.study.records import Record, told
 
 if TYPE_CHECKING:
     from clunk.study.study import Study
 
 _FAINTEST = 0.05  # share of a mode's kinetic energy that is printed
 _MOST_SHARES = 2
-
-
-@dataclass(frozen=True)
-class Mode(Record):
-    """An oscillating mode, numbered from 1, with the share of each inertia in its kinetic energy, by name.
-
-    moves : the inertias that have the largest shares, for people
-    """
-
-    lash: str = told("lash")
-    mode: int = told("mode")
-    frequency: float = told("frequency", "Hz", ".1f", "frequency_hz")
-    damping_ratio: float = told("damping ζ", form=".3f")
-    moves: str = told("share of kinetic energy")
-    kinetic_energy_share: dict[str, float] = told()
-
-
-@dataclass(frozen=True)
-class LinearView(Record):
-    """Modes of a driveline, and what follows from them.
-
-    shuffle : number of the mode of the closed lash that is the shuffle; None where there is none
-    contact_period : of each lash, by name
-    stages : of each staged shaft, by its number, before the load step
-    modes, decay_rates : with closed and open lashes; 0 is the rate of a drift
-    thresholds : load ratios σr, by the number of impacts that they are for: by the lowest mode alone,
-        exp(2π ζ1 (n - 1/2)), and by all modes with the lash locked
-    """
-
-    shuffle: int | None = told("shuffle, a mode of the closed lash")
-    contact_period: dict[str, float] = told("contact period T_c [s]", form=".4g")
-    step: float = told("solver.step", "s")
-    steps_a_period: float = told("steps a period of the fastest mode", form=".1f")
-    stages: dict[int, int] = told("stages of shafts before the load step")
-    decay_rates: dict[str, list[float]] = told("decays [1/s]", form=".4g")
-    modes: list[Mode] = told("modes")
-    thresholds: dict[str, dict[str, float]] = told("load ratio σr above which one more impact appears at no backlash")
 
 
 @click.command()
@@ -73,33 +34,65 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
     from clunk.simulation.shapes import shuffle_mode
     from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 
-    driveline = steady_driveline(study)
+    driveline, stages = steady_driveline(study), steady_stages(study)
     if driveline.rigid_motion.shape.shape[1] > 1:  # parts that turn by themselves
         terminal.complain(f"warning: {explained(study, Status.NO_EQUILIBRIUM)}")
-    modes, rates = [], {}
-    for lash in ("closed", "open"):
-        of_lash = driveline.modes(closed=lash == "closed")
-        rates[lash] = of_lash.overdamped.tolist()
-        columns = zip(of_lash.frequency.tolist(), of_lash.damping_ratio.tolist(), of_lash.energy_shares, strict=True)
-        for number, (frequency, ratio, shares) in enumerate(columns, 1):
-            share_of = dict(zip(driveline.names, shares.tolist(), strict=True))
-            largest = sorted(share_of, key=share_of.__getitem__, reverse=True)[:_MOST_SHARES]
-            moves = ", ".join(f"{name} {share_of[name]:.0%}" for name in largest if share_of[name] >= _FAINTEST)
-            modes.append(Mode(lash, number, frequency, ratio, moves, share_of))
-    shuffle = shuffle_mode(driveline)
+    record: dict[str, Any] = {}
+    for state in ("closed", "open"):
+        eigen = driveline.modes(closed=state == "closed")
+        record[state] = {
+            "frequency_hz": eigen.frequency.tolist(),
+            "damping_ratio": eigen.damping_ratio.tolist(),
+            "decay_rate_per_s": eigen.overdamped.tolist(),
+            "kinetic_energy_share": eigen.energy_shares.tolist(),
+        }
+    several, shuffle = len(study.lashes) > 1, shuffle_mode(driveline)
     thresholds = {"lowest mode": one_mode_thresholds, "all modes": rigid_contact_thresholds}
-    view = LinearView(
-        shuffle=None if shuffle is None else shuffle + 1,
-        contact_period=dict(zip(study.lash_names, driveline.contact_periods.tolist(), strict=True)),
-        step=study.solver.step,
-        steps_a_period=steps_a_period(study),
-        stages=steady_stages(study),
-        decay_rates=rates,
-        modes=modes,
-        thresholds={
-            name: {str(n): ratio for n, ratio in enumerate(of(study).tolist(), 1)}
-            for name, of in thresholds.items()
-            if len(study.lashes) == 1
-        },
+    record["thresholds"] = {name: of(study).tolist() for name, of in thresholds.items() if not several}
+    record |= {"inertias": driveline.names, "shuffle": None if shuffle is None else shuffle + 1}
+    record |= {"stages": stages} if stages else {}
+    periods = dict(zip(study.lash_names, driveline.contact_periods.tolist(), strict=True))
+    if as_json:
+        tables.print_record(record | {"contact_period": tables.of_lashes(periods)})
+        return
+    for k, stage in stages.items():
+        click.echo(f"shaft {k} in stage {stage}, as before the load step")
+    for state in ("closed", "open"):
+        click.echo(f"{'all lashes' if several else 'lash'} {state}")
+        tables.print_table(_rows(record[state], driveline.names))
+        rates = record[state]["decay_rate_per_s"]
+        drifting = sum(rate <= 0.0 for rate in rates)
+        if drifting:
+            click.echo(f"  not oscillating: drifts (zero eigenvalues: {drifting})")
+        for rate in rates:
+            if rate > 0.0:
+                click.echo(f"  not oscillating: decays at {rate:.4g} 1/s")
+        click.echo()
+    values = [("shuffle", "none" if shuffle is None else f"mode {shuffle + 1} of the closed lash")]
+    values += [(f"contact period T_c{f', {name}' * several}", f"{1e3 * time:.2f} ms") for name, time in periods.items()]
+    steps = f"{study.solver.step:g} s, {steps_a_period(study):.1f} steps a period of the fastest mode"
+    tables.print_values([*values, ("solver.step", steps)])
+    if several:
+        return
+    click.echo()
+    if stages:
+        click.echo("no thresholds of a vanishing backlash: they hold for shafts without stages")
+        return
+    click.echo("load ratio σr of an ideal step above which one more impact appears as the\nbacklash vanishes")
+    ratios_above = record["thresholds"].items()
+    tables.print_table(
+        [{"impacts": name} | {str(n): f"{ratio:.2f}" for n, ratio in enumerate(of, 1)} for name, of in ratios_above]
     )
-    tables.tell(view, as_json)
+    click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
+
+
+def _rows(state: dict[str, Any], names: tuple[str, ...]) -> list[dict[str, str]]:
+    """A row for each mode, with the inertias that have most of its kinetic energy."""
+    rows = []
+    of_modes = zip(state["frequency_hz"], state["damping_ratio"], state["kinetic_energy_share"], strict=True)
+    for k, (frequency, ratio, shares) in enumerate(of_modes, 1):
+        largest_first = sorted(zip(shares, names, strict=True), reverse=True)[:_MOST_SHARES]
+        moved = ", ".join(f"{name} {100.0 * share:.0f} %" for share, name in largest_first if share >= _FAINTEST)
+        row = {"mode": str(k), "frequency [Hz]": f"{frequency:.1f}", "damping ζ": f"{ratio:.3f}"}
+        rows.append(row | {"share of kinetic energy": moved})
+    return rows
