@@ -99,6 +99,20 @@ def test_what_is_written_is_what_is_read(tmp_path: Path, axes: tuple[ResultAxis,
         assert impacts or np.isnan(file["impact_time"][()]).all()
 
 
+@pytest.mark.parametrize("places", [1, 250])
+def test_a_file_is_the_same_in_however_many_parts_its_impacts_are_written_and_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, places: int
+) -> None:
+    """By row, or by two: the values of a map with one busy cell need never be in memory with their padding."""
+    results = example(INERTIA, RATIO, BACKLASH)
+    store.write_results(tmp_path / "whole.h5", results)
+    monkeypatch.setattr(netcdf, "_SLAB", places)
+    store.write_results(tmp_path / "parts.h5", results)
+    for name in ("whole.h5", "parts.h5"):
+        assert_same(results, store.read_results(tmp_path / name))
+    assert len([*netcdf.slabs(results.shape, 5)]) > 1
+
+
 def test_padded_impacts_follow_their_cell() -> None:
     results = example(RATIO, BACKLASH)
     speeds, flanks = padded(results, "impact_closing_speed"), padded(results, "impact_flank")

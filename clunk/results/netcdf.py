@@ -17,7 +17,7 @@ import hashlib
 import io
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ _LENGTH = len(_MARK) + 64 + 1  # `head -c -78 FILE | sha256sum` gives the same d
 
 # On the map of Figure 3.4 levels 1 to 6 differ by 1 % in size, and 6 takes three times as long.
 _COMPRESSION = {"chunks": True, "compression": "gzip", "compression_opts": 1, "shuffle": True}
+_SLAB = 2**23  # places of padded values at a time: 64 MB
 _SMALL = 4096  # bytes of values that would only grow by compression
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
 
@@ -70,14 +71,30 @@ class Dataset:
 
     def padded(self, name: str) -> Array:
         """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
+        parts = [part for _, part in self.slabs(name)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def slabs(self, name: str) -> Iterator[tuple[slice, Array]]:
+        """These values by parts along the first dimension, which are small where they are padded."""
         variable = self.variables[name]
         if variable.values.ndim == len(variable.dims):
-            return variable.values
+            yield slice(None), variable.values
+            return
         counts, most = (self.variables[each].values for each in (COUNTED_BY[variable.dims[-1]], variable.dims[-1]))
-        is_entry = np.arange(most.size) < counts[..., None]
-        padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
-        padded[is_entry] = variable.values
-        return padded
+        first = 0
+        for rows in slabs(counts.shape, most.size):
+            is_entry = np.arange(most.size) < counts[rows][..., None]
+            padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
+            last = first + int(counts[rows].sum())
+            padded[is_entry] = variable.values[first:last]
+            first = last
+            yield rows, padded
+
+
+def slabs(shape: Sequence[int], most: int) -> Iterator[slice]:
+    """Parts along the first dimension of cells, of which each has `most` places, with `_SLAB` places at most."""
+    each = max(_SLAB // max(math.prod(shape[1:]) * most, 1), 1)
+    yield from (slice(begin, begin + each) for begin in range(0, shape[0], each))
 
 
 def flags(meanings: Mapping[int, str], dtype: npt.DTypeLike, *, masks: bool = False) -> dict[str, str | Array]:
@@ -149,8 +166,8 @@ def _create(file: h5py.File, name: str, variable: Variable, dataset: Dataset) ->
         track_order=True,
         **({} if is_small else _COMPRESSION),
     )
-    values = dataset.padded(name)
-    stored[...] = values.astype(object) if is_text else values
+    for rows, values in dataset.slabs(name):
+        stored[rows] = values.astype(object) if is_text else values
     _set_attributes(stored, variable.attributes)
     if is_dimension:
         stored.make_scale(name)
@@ -213,7 +230,8 @@ def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) 
     dims = (name,) if stored.is_scale else tuple(dim[0].name.removeprefix("/") for dim in stored.dims)
     if dims[-1] in COUNTED_BY and len(dims) > 1:
         counts, most = earlier[COUNTED_BY[dims[-1]]].values, stored.shape[-1]
-        values: Array = stored[...][np.arange(most) < counts[..., None]]
+        parts = [stored[rows][np.arange(most) < counts[rows][..., None]] for rows in slabs(counts.shape, most)]
+        values: Array = np.concatenate([np.zeros(0, stored.dtype), *parts])
     else:
         values = stored[...]
     if values.dtype.kind == "O":
