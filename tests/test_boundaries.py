@@ -375,16 +375,6 @@ def test_a_map_is_kept_whole_where_its_tracing_is_interrupted(command, tmp_path,
     assert clunk.read_results("r.h5").boundaries.region_area.sum() == pytest.approx(1.0)
 
 
-def test_boundaries_are_traced_again_where_failed_cells_are_run_again(command, tmp_path):
-    axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
-    (tmp_path / "c.toml").write_text(NOMINAL + "".join(axes), encoding="utf-8")
-    sweep = ("sweep", "c.toml", "--set", EXACT, "-o", "r.h5")
-    command(*sweep, "--set", "solver.max_events=16", "--boundaries")
-    assert FAILED in clunk.read_results("r.h5").boundaries.areas
-    assert command(*sweep, "--retry-failed")[0] == 0
-    assert clunk.read_results("r.h5").boundaries.areas == clunk.sweep(study(*axes), boundaries=True).boundaries.areas
-
-
 def test_a_file_without_any_boundary_is_read_back_and_is_netcdf(command, tmp_path):
     xarray = pytest.importorskip("xarray")
     text = NOMINAL + axis("load.ratio", 0.0, 1.0, 5) + axis("lash.backlash_deg", 5.0, 9.0, 5)

@@ -13,7 +13,6 @@ import click
 import numpy as np
 import pytest
 from conftest import EXACT, axis
-from helpers.maps import CELL_QUANTITIES, IMPACT_QUANTITIES
 from matplotlib.text import Text
 
 from clunk.api import draw
@@ -118,48 +117,6 @@ def test_restart_of_a_sweep_that_is_refused_takes_nothing_away(command, small, h
     assert code == 2
     assert "--force" in err
     assert (here / "map.h5.partial/part-000001").read_bytes() == b"work"
-
-
-def test_failed_cells_are_run_again_and_the_file_says_so(command, small, here):
-    few = ["--set", "solver.max_events=10"]
-    code, _, _ = command("sweep", small, *few)
-    assert code == 3
-    before = read_results("results/small.h5")
-    failed = before.status != 0
-    code, _, _ = command("sweep", small, "--set", "solver.max_events=14", "--retry-failed")
-    assert code == 3
-    code, _, _ = command("sweep", small, "--retry-failed")
-    assert code == 0
-    after = read_results("results/small.h5")
-    assert not after.status.any()
-    assert np.array_equal(before.severity[~failed], after.severity[~failed])
-    note = after.attributes["retried"]
-    assert note.startswith(
-        f"{np.count_nonzero(failed)} failed cells run again (solver.max_events = 10 there, 14 here): "
-    )
-    assert "(solver.max_events = 10 there, 100000 here): 0 failed again" in note
-    assert "already complete" in command("sweep", small, *few)[2]  # the file's config is still its own
-    assert "has no failed cells" in command("sweep", small, "--retry-failed")[2]
-    command("sweep", small, "-o", "dense.h5")
-    dense = read_results("dense.h5")
-    assert after.labels == dense.labels
-    for name in (*CELL_QUANTITIES, *IMPACT_QUANTITIES):
-        assert np.array_equal(getattr(after, name), getattr(dense, name), equal_nan=True), name
-
-
-def test_only_the_solver_may_differ_where_failed_cells_are_run_again(command, small, here):
-    command("sweep", small, "--set", "solver.max_events=10")
-    before = (here / "results/small.h5").read_bytes()
-    code, _, err = command("sweep", small, "--retry-failed", "--set", "load.static_torque=-2.0")
-    assert code == 2
-    assert "only [solver] may differ" in " ".join(err.split())
-    assert (here / "results/small.h5").read_bytes() == before
-    code, _, err = command("sweep", small, "--retry-failed", "-o", "nowhere.h5")
-    assert code == 2
-    assert "nowhere.h5" in err
-    code, _, err = command("sweep", small, "--retry-failed", "--force")
-    assert code == 2
-    assert "--force" in err
 
 
 def test_info_checks_a_file_and_names_a_damaged_one(command, small, here):

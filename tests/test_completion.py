@@ -37,7 +37,7 @@ def files(tmp_path, monkeypatch):
     ("line", "candidates"),
     [
         ("clunk th", ["thresholds"]),
-        ("clunk sweep small.toml --ret", ["--retry-failed"]),
+        ("clunk sweep small.toml --rest", ["--restart"]),
         ("clunk sweep small.toml --set solver.e", ["solver.end_time="]),
         ("clunk sweep --workers 2 small.toml --set load.scale=2 --set solver.me", ["solver.method="]),
         ("clunk modes small.toml --set driveline.shafts[4].da", ["driveline.shafts[4].damping="]),

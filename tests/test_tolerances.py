@@ -305,7 +305,6 @@ class TestCommands:
     @pytest.mark.parametrize(
         ("arguments", "sentence"),
         [
-            (("sweep", "small.toml", "--retry-failed"), "--retry-failed does not go with [[sweep.tolerances]]"),
             (("plot", "small.h5", "--x", "load.ratio"), "x and y are for axes that are walked together"),
             (("compare", "small.h5", "small.h5"), "small.h5 holds a tolerance map, where a regime map is needed"),
             (("plot", "small.h5", "--quantity", "touches"), 'There is no quantity "touches"; there are label'),

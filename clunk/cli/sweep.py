@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     help="Trace the curves between labels, of two axes [yes].",
 )
 @click.option("--lash", metavar="NAME", help="Of several lashes, the one whose boundaries are traced [the first].")
-@click.option(
-    "--retry-failed", is_flag=True, help="Run the failed cells of the finished file again; [solver] may differ."
-)
 @json_option
 def sweep(
     config: Path,
@@ -47,7 +44,6 @@ def sweep(
     restart: bool,
     boundaries: bool | None,
     lash: str | None,
-    retry_failed: bool,
     as_json: bool,
 ) -> None:
     """Run the grid of a config and write a results file.
@@ -58,19 +54,11 @@ def sweep(
     Examples:
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
       clunk sweep configs/figure_3_4.toml --no-boundaries -o cells.h5
-      clunk sweep configs/figure_3_4.toml --retry-failed \\
-          --set solver.step=2e-5
       clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
     """
-    if retry_failed and force:
-        raise click.UsageError("--retry-failed does not go with --force.")
-    from clunk.results import files
-    from clunk.study.designs import has_tolerances
-    from clunk.study.models import lash_position
-
-    if has_tolerances(study) and retry_failed:
-        raise click.UsageError("--retry-failed does not go with [[sweep.tolerances]].")
     from clunk.analysis.boundaries import is_traced
+    from clunk.results import files
+    from clunk.study.models import lash_position
 
     traces = is_traced(study, boundaries)
     if traces:
@@ -82,10 +70,10 @@ def sweep(
     from clunk.sweeping.sweep import engine_of, opened
 
     opening = engine_of(scheduler, workers, say=terminal.complain)
-    with opened(target, study, retry=retry_failed, restart=restart, force=force, say=terminal.complain) as job:
+    with opened(target, study, restart=restart, force=force, say=terminal.complain) as job:
         result = job.held
         if result is not None:
-            click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
+            click.echo(f"{target} is already complete.", err=True)
         else:
             terminal.warn(study, "swept")
             with progress.reporting(True, job.design.cells, study) as show, opening as engine:

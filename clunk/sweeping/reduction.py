@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -23,12 +22,10 @@ from clunk.results.maps import Results
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.study.arrays import Array, Bools, Cells, Records
 from clunk.study.axes import lash_axis
-from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
-from clunk.sweeping.cells import Grid, Layout, Tile
+from clunk.sweeping.cells import Grid, Tile
 from clunk.sweeping.engines import run_tiles
-from clunk.sweeping.parts import differences
 from clunk.sweeping.progress import Progress
 
 
@@ -142,41 +139,3 @@ def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
         elif name != "sequence":
             arrays[name] = records[name].astype(quantity.dtype).reshape(reduction.shape)
     return Results(axes=reduction.axes, **heading_of(study), labels=labels, arrays=arrays, attributes=attributes)
-
-
-def failed_cells(results: Results) -> Cells:
-    """Numbers of the cells that failed, in C order; all lashes of a cell fail together."""
-    return np.flatnonzero(results.of_lash().sequence == FAILED_CODE)
-
-
-def finished_cells(study: Study, results: Results, layout: Layout) -> Tile:
-    """The cells of a study's finished sweep that have not failed, as they ran.
-
-    Raises ClunkError where the results are of a study that differs in anything but [solver].
-    """
-    before = study_from_text(results.config, source="the results' config")
-    if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
-        raise ClunkError("The failed cells of another config cannot be run again: only [solver] may differ.")
-    is_finished = results.sequence.ravel() != FAILED_CODE
-    records = np.zeros(results.sequence.size, layout.record)
-    details = np.zeros(results.impact_flank.size, layout.detail)
-    for name, quantity in results.quantities.items():
-        if quantity.dimension:
-            details[name.removeprefix("impact_")] = results.arrays[name]
-        elif name != "sequence":
-            records[name] = results.arrays[name].ravel()
-    cells = np.flatnonzero(is_finished[:: layout.lashes])
-    return Tile(cells, records[is_finished], details[np.repeat(is_finished, results.primary_impacts.ravel())])
-
-
-def mended(earlier: Results, again: Results, study: Study) -> Results:
-    """A finished sweep with its failed cells run again, of which the attribute `retried` tells; study : of these."""
-    failed = failed_cells(earlier)
-    cells = ", ".join(map(str, failed[:100])) + (", …" if failed.size > 100 else "")
-    note = (
-        f"{failed.size} failed cells run again ({differences(earlier.config, study) or 'with the same solver'}): "
-        f"{failed_cells(again).size} failed again; cells {cells} in C order"
-    )
-    retried = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
-    attributes = {**again.attributes, "retried": retried}
-    return replace(again, config=earlier.config, config_digest=earlier.config_digest, attributes=attributes)

@@ -14,7 +14,7 @@ from pathlib import Path
 from clunk.core.status import Status
 from clunk.results.maps import AnyMap, Results
 from clunk.results.netcdf import StoreError
-from clunk.results.store import read_map, read_results, write_results
+from clunk.results.store import read_map, write_results
 from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
@@ -25,7 +25,7 @@ from clunk.sweeping.engines import EngineError, Threads
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.reduction import Reduction, failed_cells, finished_cells, mended, regime_map
+from clunk.sweeping.reduction import Reduction, regime_map
 from clunk.sweeping.tolerances import SampleGrid, tolerance_map
 
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
@@ -46,7 +46,6 @@ class Job:
 
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
-    earlier : finished results of the study, of which only the failed cells are run
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
     held : the complete map that the file holds: there is nothing to run
@@ -59,7 +58,6 @@ class Job:
         study: Study,
         design: Design | None = None,
         *,
-        earlier: Results | None = None,
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
         held: AnyMap | None = None,
@@ -67,16 +65,13 @@ class Job:
     ) -> None:
         self.study = study
         self.design = design or design_of(study)
-        self.earlier = earlier
         self.directory, self.path, self.held = directory, path, held
         self.ran, self.seconds = 0, 0.0
         self._say = say or (lambda _text: None)
         self.parts: Parts | None = None
         if held is None:
             self._reduction = self._empty()
-            if earlier is not None:
-                self._reduction.add(finished_cells(study, earlier, self._reduction.grid.layout))
-            elif directory is not None:
+            if directory is not None:
                 self.parts = Parts(directory, study)
 
     def _empty(self) -> Reduction:
@@ -158,8 +153,6 @@ class Job:
             raise
         make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
         result: AnyMap = make(reduction, provenance(engine))
-        if self.earlier is not None and isinstance(result, Results):
-            result = mended(self.earlier, result, self.study)
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         return result
 
@@ -169,7 +162,6 @@ def opened(
     path: str | os.PathLike[str] | None,
     study: Study,
     *,
-    retry: bool = False,
     restart: bool = False,
     force: bool = False,
     say: Callable[[str], None] | None = None,
@@ -178,31 +170,24 @@ def opened(
 
     path : results file, whose directory exists; None for a sweep in memory
     restart, force : as of `clunk.sweep`
-    retry : whether to run only the failed cells of the finished file again
     say : called with messages on what is taken up
 
-    Raises ClunkError where the file holds something else, StoreError where `retry` finds none that can be read, and
-    PartsError where it is being written, or another sweep into it has been stopped.
+    Raises ClunkError where the file holds something else, and PartsError where it is being written, or another sweep
+    into it has been stopped.
     """
     if path is None:
         yield Job(study)
         return
     path = Path(path)
     with WorkingDirectory(path) as directory:
-        if retry:
-            earlier = read_results(path)
-            whole = None if failed_cells(earlier).size else earlier
-            job = Job(study, earlier=earlier, directory=directory, path=path, held=whole)
-        else:
-            held = _held(path, study) if path.exists() and not force else None
-            if restart:
+        held = _held(path, study) if path.exists() and not force else None
+        if restart:
+            directory.clear()
+        elif held is not None and directory.parts():  # of a process that was killed when its file was in place
+            with suppress(PartsError):  # another sweep's parts stay
+                Parts(directory, study)
                 directory.clear()
-            elif held is not None and directory.parts():  # of a process that was killed when its file was in place
-                with suppress(PartsError):  # another sweep's parts stay
-                    Parts(directory, study)
-                    directory.clear()
-            job = Job(study, directory=directory, path=path, held=None if restart else held, say=say)
-        yield job
+        yield Job(study, directory=directory, path=path, held=None if restart else held, say=say)
 
 
 def _held(path: Path, study: Study) -> AnyMap:
