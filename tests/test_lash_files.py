@@ -212,7 +212,7 @@ def test_commands_take_a_lash_by_name(path, command):
     code, out, _ = command("simulate", config, "--json", "--set", "load.ratio=2.0")
     assert list(json.loads(out)["lashes"]) == ["gear", "joint"]
     code, out, _ = command("modes", config)
-    assert re.search(r"^  closed +1 ", out, re.MULTILINE)
+    assert "all lashes closed" in out
     assert "load ratio" not in out  # of one impact more: lashes do not change sides together
 
 

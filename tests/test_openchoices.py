@@ -31,7 +31,8 @@ def report_map(count, *overrides):
 def changed():
     """The share of cells that one changed key gives another label, over 21 x 21 cells."""
     nominal = report_map(21)
-    return {row[0]: compare(nominal, report_map(21, row[0])).share for row in ROWS}
+    comparisons = {row[0]: compare(nominal, report_map(21, row[0])) for row in ROWS}
+    return {key: comparison.differing / comparison.cells for key, comparison in comparisons.items()}
 
 
 def test_labels_hang_on_the_contact_s_damping_by_three_cells_in_a_hundred(changed):
