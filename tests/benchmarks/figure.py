@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clunk.simulation import driveline
+from clunk.simulation import batches
 from clunk.study.config import load_study
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
@@ -53,20 +53,22 @@ def main(repeats: int, count: int) -> None:
 
 def timed(study, workers: int, early: bool) -> float:
     """Seconds of one sweep; without `early` no flow bounds all that follows, so that each run goes to its end."""
-    prepare = driveline.prepare
+    prepare = batches.prepare
 
-    def unproved(study, line=None):
+    def unproved(study, line):
         system, steps = prepare(study, line)
         return system, steps._replace(settles=np.zeros_like(steps.settles))
 
+    batches.prepare_one.cache_clear()
     if not early:
-        driveline.prepare = unproved
+        batches.prepare = unproved
     try:
         began = time.perf_counter()
         sweeping.sweep(study, workers=workers)
         return time.perf_counter() - began
     finally:
-        driveline.prepare = prepare
+        batches.prepare = prepare
+        batches.prepare_one.cache_clear()
 
 
 if __name__ == "__main__":
