@@ -12,7 +12,7 @@ from clunk.analysis.thresholds import thresholds
 from clunk.cli import cli
 from clunk.cli.simulate import run_record
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
-from clunk.results.quantities import REGIME_QUANTITIES
+from clunk.results.quantities import OF_RUNS, REGIME_QUANTITIES
 from clunk.results.store import read_results, write_results
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
@@ -248,7 +248,7 @@ def test_bad_measures_are_refused_with_a_sentence(text, sentence):
 
 
 def test_no_measure_takes_the_name_of_another_variable():
-    for name in (*REGIME_QUANTITIES, "load_ratio", "boundary_left"):
+    for name in (*REGIME_QUANTITIES, *OF_RUNS, "load_ratio", "boundary_left"):
         with pytest.raises(ConfigError, match="another variable"):
             measuring(MAP[0], f"measures=[{{name='{name}', quantity='twist', of=1, reduce='largest'}}]", names=())
 

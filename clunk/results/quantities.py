@@ -1,5 +1,9 @@
 """The quantities of runs and of maps, described once, in quantities.csv: what files, plots and tables say of each.
 
+A quantity more of each run is a field of `core.tile.CELL`, written there, and a row of quantities.csv with the field's
+name. Its name is then reserved in `study.rules`, `netcdf.SCHEMA_VERSION` grows, and the help on the file format lists
+it.
+
 `quantity_of` reads a quantity of runs in the words that options such as --of and --quantity take:
 
 label, regimes                       the label

@@ -22,12 +22,13 @@ from clunk.study.parameters import drawn_numbers, located, with_values
 from clunk.study.sweeps import Draw
 from clunk.study.tables import Finding, misnamed
 
-# Names in results files, and words for what is drawn or compared, that no measure can have
+# Names in results files and of quantities, all of results/quantities.csv among them, that no measure can have
 _TAKEN = {
     *("sequence", "severity", "approach_velocity", "primary_impacts", "touches", "last_event_time", "status"),
     *("quality", "initial_side", "margin", "impact_time", "impact_flank", "impact_closing_speed", "impact_severity"),
     *(*OF_IMPACTS, *(f"impact_{name}" for name in OF_IMPACTS)),
-    *("regimes", "label", "double_sided", "chatter", "nominal_label", "run", "impact", "lash"),
+    *("regimes", "label", "double_sided", "single_sided", "opposite_sided", "crossed", "chatter", "nominal_label"),
+    *("double_sided_impacts", "run", "impact", "lash"),
 }
 # Tables of what is swept, drawn, fitted and free, with how they are told
 VARIED: tuple[tuple[tuple[str, str], str], ...] = (
