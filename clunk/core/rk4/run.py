@@ -86,10 +86,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     piece, written = piece_at(load, 0, 0.0), entry.written
     rolled = begin_run(system, start, piece, inputs, log)
-    log.extremes[0, :, 0], log.extremes[0, :, 1] = (
-        np.inf,
-        -np.inf,
-    )  # nothing is asked of the acceleration before a touch
+    # nothing is asked of the acceleration before a touch
+    log.extremes[0, :, 0], log.extremes[0, :, 1] = np.inf, -np.inf
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
@@ -173,10 +171,8 @@ def _carry_extremes(log: Log, first: int, written: int) -> None:
     for k in range(first, written):
         for lash in range(log.extremes.shape[1]):
             if log.events[k].kind != TOUCH or log.events[k].lash != lash:
-                log.extremes[k, lash, 0], log.extremes[k, lash, 1] = (
-                    log.extremes[k - 1, lash, 0],
-                    log.extremes[k - 1, lash, 1],
-                )
+                for end in range(2):
+                    log.extremes[k, lash, end] = log.extremes[k - 1, lash, end]
 
 
 @part
@@ -337,7 +333,7 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
 
 @inlined_part
 def _stride(system: System, steps: Steps, regime: int, room: Room, extremes: FloatArray) -> bool:
-    """Take a stride from `room.z` to `room.after`; return whether no guard turns negative and no extreme is in it."""
+    """Take a stride from `room.z` to `room.after`; return whether no guard turns negative, nor an extreme is in it."""
     row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
     columns, ramp, wave = steps.stride.shape[1], steps.ramp_sag[row.flow], 2 * system.inertias
     for which in range(sag.size):
@@ -346,19 +342,24 @@ def _stride(system: System, steps: Steps, regime: int, room: Room, extremes: Flo
             steady = room.steady_sag[which] + ramp[0, which] * z[wave] + ramp[1, which] * z[wave + 1]
             sag[which] = abs(steady) + abs(ramp[2, which] * z[wave + 1])
     _reach(steps.mode_rows[row.flow], steps.mode_sag[row.flow], room)
-    for g in range(row.guards):
-        at = columns + room.at[g]
-        if not room.sign[g] * z[at] + room.shift[g] > sag[room.at[g] // 4]:
-            return False
+    if not _guards_exceed(room, row.guards, columns, z):
+        return False
     _advance(steps.stride[row.flow], room.stride_affine, z, after)
-    for g in range(row.guards):
-        at = columns + room.at[g]
-        if not room.sign[g] * after[at] + room.shift[g] > sag[room.at[g] // 4]:
-            return False
+    if not _guards_exceed(room, row.guards, columns, after):
+        return False
     for lash in range(lashes_of(system) if system.impulsive == 0 else 0):
         which = lash * system.functionals_per_lash + ACCELERATION
         a, b = z[columns + 4 * which], after[columns + 4 * which]
         if not (max(a, b) + sag[which] <= extremes[lash, 0] and min(a, b) - sag[which] >= extremes[lash, 1]):
+            return False
+    return True
+
+
+@inlined_part
+def _guards_exceed(room: Room, guards: int, columns: int, z: FloatArray) -> bool:
+    """Whether all guards exceed their sag, in `room.reach`, at one end of a stride; not where one is not a number."""
+    for g in range(guards):
+        if not room.sign[g] * z[columns + room.at[g]] + room.shift[g] > room.reach[room.at[g] // 4]:
             return False
     return True
 
