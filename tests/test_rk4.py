@@ -9,7 +9,7 @@ from helpers.agreement import exact, kinds_of
 
 import clunk
 from clunk.core.rk4.propagator import build_steps, rk4_growth
-from clunk.simulation import batches, driveline
+from clunk.simulation import batches
 from clunk.simulation.trajectory import simulate
 from clunk.study.errors import ClunkError
 
@@ -139,13 +139,12 @@ def test_stopping_early_changes_nothing(contact, monkeypatch):
     """What is proved complete stays so: five times the end time adds no event and no acceleration."""
     plants = [reference.boere(ratio, gap, **contact) for ratio in (0.0, 2.5, 5.0, 10.0) for gap in (0.0, 6.0, 16.0)]
     early = [stepped(plant) for plant in plants]
-    prepare = batches.prepare
 
-    def unproved(study, line):
-        system, tables = prepare(study, line)
+    def unproved(*driveline):
+        system, tables = build_steps(*driveline)
         return system, tables._replace(settles=np.zeros_like(tables.settles))
 
-    monkeypatch.setattr(batches, "prepare", unproved)
+    monkeypatch.setattr(batches, "build_steps", unproved)
     for plant, short in zip(plants, early, strict=True):
         whole = simulate(reference.study_of(plant, end_time=10.0, method="rk4"))
         assert short.complete
@@ -166,12 +165,11 @@ def test_strides_change_nothing(seed, monkeypatch):
     study = studies.random_study(seed, "solver.method=rk4")
     strided = clunk.sweep(study, boundaries=False)
 
-    def in_blocks(system, step):
-        system, tables = build_steps(system, step)
+    def in_blocks(*driveline):
+        system, tables = build_steps(*driveline)
         return system, tables._replace(strides=np.zeros_like(tables.strides))
 
-    for module in (batches, driveline):
-        monkeypatch.setattr(module, "build_steps", in_blocks)
+    monkeypatch.setattr(batches, "build_steps", in_blocks)
     batches.prepare_one.cache_clear()
     every = clunk.sweep(study, boundaries=False)
     batches.prepare_one.cache_clear()

@@ -10,9 +10,10 @@ is compiled, once for all drivelines), `partial` (all that reaches into numba's 
 longer) and `references` (systems and workspaces as arguments). Kernels allocate nothing: what calls them makes their
 room. `simulation.driveline` prepares the system, and the tables of a method.
 
-Both methods share the system, its guards, the preload, what happens at an event (`switching`, `rigid`, `rubbing`) and
-the label. They differ in how they flow, locate events and extremes, and know that a run is over. That they agree says
-nothing of what they share; `tests/helpers/reference.py`, which shares nothing, checks that.
+Both methods share the system, its guards, the preload, what happens at an event (`switching`, `rigid`, `rubbing`), the
+label, and the modes by which RK4 knows that nothing follows, at all or for some steps. They differ in how they flow,
+and locate events and extremes. That they agree says nothing of what they share; `tests/helpers/reference.py`, which
+shares nothing, checks that, and `tests/test_rk4.py` holds runs to those in which every step is seen.
 
 `rk4`: `run` (a run from the load step to its end, and when it is over), `step` and `quartic` (one short step with
 everything in it located), `propagator` (full steps as matrices).

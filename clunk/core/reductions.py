@@ -76,15 +76,6 @@ class Reduction(NamedTuple):
     shift: FloatArray
 
 
-def with_wave(reduction: Reduction, states: int) -> Reduction:
-    """A reduction of a system with `states` of a wave more, which nothing constrains."""
-    expand, pick = (
-        np.block([[matrix, np.zeros((matrix.shape[0], states))], [np.zeros((states, matrix.shape[1])), np.eye(states)]])
-        for matrix in (reduction.expand, reduction.pick)
-    )
-    return Reduction(expand, pick, np.vstack([reduction.shift, np.zeros((states, reduction.shift.shape[1]))]))
-
-
 def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
     """Without the angle of one inertia at each closed lash, which q = s φ/2 and q' = 0 give.
 
@@ -116,19 +107,3 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
     # for the angles, and for the speeds
     expand, pick = (np.asarray(np.kron(np.eye(2), matrix), np.float64) for matrix in (basis, pick))
     return Reduction(expand, pick, shift)
-
-
-def without_drift(reduction: Reduction, drift: FloatArray) -> Reduction:
-    """The same coordinates, relative to some that are left out: as many as there are states that nothing depends on.
-
-    drift : (N, D) float64, these states; each is zero where the others are not
-    """
-    if not drift.size:
-        return reduction
-    along = reduction.pick @ drift
-    size, columns = along.shape
-    pivots = np.abs(along).argmax(axis=0)
-    every: FloatArray = np.eye(size)
-    relative = every - along / along[pivots, np.arange(columns)] @ every[pivots]
-    pick = np.delete(relative, pivots, axis=0) @ reduction.pick
-    return Reduction(np.delete(reduction.expand, pivots, axis=1), pick, reduction.shift)

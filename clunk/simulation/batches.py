@@ -7,10 +7,9 @@ import numpy as np
 
 from clunk.core.batches import UnlikeError
 from clunk.core.exact.flows import Flows
-from clunk.core.regimes import driveline_at
 from clunk.core.rk4.propagator import build_steps
 from clunk.core.tile import Batch, batch_of
-from clunk.simulation.driveline import Driveline, build, prepare
+from clunk.simulation.driveline import Driveline, prepare
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
 from clunk.study.designs import design_of_points
@@ -32,9 +31,9 @@ def prepare_one(study: Study) -> Batch:
     """
     line = Driveline.from_study(study)
     batch = batch_of(*prepare(study, line))
-    if not study.measured:
-        return batch
-    return batch._replace(channels=channels_of(study, line, batch.systems))
+    if study.measured:
+        batch = batch._replace(channels=channels_of(study, line, batch.systems))
+    return batch if study.solver.method == "exact" else _by_rk4(batch, study.solver.step)
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:
@@ -96,13 +95,19 @@ def _prepare_alike(
 
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:
     """The batches of drivelines with other numbers than a study's: of the exact method one."""
-    exact, steps = study.solver.method == "exact", line.varied.get(("solver", "step"))
-    systems, flows = prepare(study, line) if exact else (build(study, line), None)
-    channels = channels_of(study, line, systems) if study.measured else None
-    if isinstance(flows, Flows):
-        yield np.arange(len(systems.rates)), Batch(systems, flows, channels)
+    systems, flows = prepare(study, line)
+    batch = Batch(systems, flows, channels_of(study, line, systems) if study.measured else None)
+    count = len(flows.modal)
+    if study.solver.method == "exact":
+        yield np.arange(count), batch
         return
-    for k in range(len(systems.rates)):
-        step = study.solver.step if steps is None else float(steps[k])
-        tables = build_steps(driveline_at(systems, k), step)
-        yield np.array([k]), batch_of(*tables, channels and channels.at([k]))
+    steps = np.broadcast_to(line.varied.get(("solver", "step"), study.solver.step), count)
+    for k in range(count):
+        yield np.array([k]), _by_rk4(batch.at([k]), float(steps[k]))
+
+
+def _by_rk4(batch: Batch, step: float) -> Batch:
+    """A batch of one driveline with the tables of RK4."""
+    assert isinstance(batch.tables, Flows)
+    system, steps = build_steps(batch.system, Flows._make(table[0] for table in batch.tables), step)
+    return batch_of(system, steps, batch.channels)

@@ -15,7 +15,6 @@ from clunk.core.batches import alike
 from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked
 from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, rubs
-from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
 from clunk.core.tables import Friction, StagedShaft, stages_of
 from clunk.simulation import rigid
@@ -214,16 +213,14 @@ class Driveline:
         )
 
 
-def prepare(study: Study, driveline: Driveline | None = None) -> tuple[System, Steps | Flows]:
-    """The switched linear system of a study, and the tables of its method: ready to run.
+def prepare(study: Study, driveline: Driveline | None = None) -> tuple[System, Flows]:
+    """The switched linear system of a study, and the modes of its flows: ready to run by the exact method.
 
-    driveline : with other numbers than the study's; a batch makes a batch of systems and tables, by the exact method
+    driveline : with other numbers than the study's; a batch makes a batch of systems and tables
     """
     driveline = driveline or Driveline.from_study(study)
-    if study.solver.method == "exact":
-        system = build(study, driveline, ramps=True)
-        return system, _flows(study, driveline, system)
-    return build_steps(build(study, driveline), study.solver.step)
+    system = build(study, driveline, ramps=study.solver.method == "exact")
+    return system, _flows(study, driveline, system)
 
 
 def explained(study: Study, status: Status) -> str:
@@ -319,8 +316,11 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     rates, spans = wave_rates(study.load, driveline.varied), SPANS
     if rates is not None and alike(np.abs(rates).max(axis=(-2, -1)) * system.end_time[..., 0] > _FAST, 0):
         spans = MORE_SPANS
-    matrices = system.rates, system.inputs, system.functionals, system.feedthrough
-    return build_flows(*matrices, chains, held, system.drift, spans)
+    states = system.rates.shape[-1] if rates is not None else 2 * system.inertias  # without a ramp that is no input
+    matrices = system.rates[..., :states, :states], system.inputs[..., :states, :]
+    return build_flows(
+        *matrices, system.functionals[..., :states], system.feedthrough, chains, held, system.drift, spans
+    )
 
 
 def _chain(

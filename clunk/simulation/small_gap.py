@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.reductions import constrained, without_drift
+from clunk.core.reductions import Reduction, constrained
 from clunk.core.regimes import driveline_at
 from clunk.core.status import Status
 from clunk.core.tables import FORCE, TORQUE
@@ -125,7 +125,7 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     if carried == 0.0 or len(system.preload) > 1:
         return np.empty(0)
     size = 2 * system.inertias  # without the load's wave
-    expand, pick, _ = without_drift(constrained(system.lashes[:, system.inertias : size], [1]), system.drift)
+    expand, pick, _ = _without_drift(constrained(system.lashes[:, system.inertias : size], [1]), system.drift)
     rates, right = np.linalg.eig(pick @ system.rates[1, :size, :size] @ expand)
     if rates.size == 0 or np.linalg.cond(right) > 1e10:
         return np.empty(0)
@@ -134,6 +134,22 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     amplitudes = (system.functionals[1, FORCE, :size] @ expand @ right) * start / carried
     felt = np.abs(amplitudes) > 1e-12
     return levels_of_excursions(_extremes(rates[felt], amplitudes[felt]), count)
+
+
+def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
+    """The same coordinates, relative to some that are left out: as many as there are states that nothing depends on.
+
+    drift : (N, D) float64, these states; each is zero where the others are not
+    """
+    if not drift.size:
+        return reduction
+    along = reduction.pick @ drift
+    size, columns = along.shape
+    pivots = np.abs(along).argmax(axis=0)
+    every: Floats = np.eye(size)
+    relative = every - along / along[pivots, np.arange(columns)] @ every[pivots]
+    pick = np.delete(relative, pivots, axis=0) @ reduction.pick
+    return Reduction(np.delete(reduction.expand, pivots, axis=1), pick, reduction.shift)
 
 
 def _extremes(rates: npt.NDArray[np.complex128], amplitudes: npt.NDArray[np.complex128]) -> Floats:

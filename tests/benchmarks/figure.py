@@ -53,21 +53,21 @@ def main(repeats: int, count: int) -> None:
 
 def timed(study, workers: int, early: bool) -> float:
     """Seconds of one sweep; without `early` no flow bounds all that follows, so that each run goes to its end."""
-    prepare = batches.prepare
+    build_steps = batches.build_steps
 
-    def unproved(study, line):
-        system, steps = prepare(study, line)
+    def unproved(*driveline):
+        system, steps = build_steps(*driveline)
         return system, steps._replace(settles=np.zeros_like(steps.settles))
 
     batches.prepare_one.cache_clear()
     if not early:
-        batches.prepare = unproved
+        batches.build_steps = unproved
     try:
         began = time.perf_counter()
         sweeping.sweep(study, workers=workers)
         return time.perf_counter() - began
     finally:
-        batches.prepare = prepare
+        batches.build_steps = build_steps
         batches.prepare_one.cache_clear()
 
 

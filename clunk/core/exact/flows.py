@@ -254,18 +254,18 @@ def _ladder(spans: int) -> FloatArray:
 @functools.cache
 def _places(size: int) -> IntArray:
     """Where the coordinates 0, 1, 2, … lie, of which 2p and 2p + 1 are a pair."""
-    return np.ascontiguousarray(_halves(np.arange(size)).transpose(0, 2, 1)).ravel()
+    return np.ascontiguousarray(halves(np.arange(size)).transpose(0, 2, 1)).ravel()
 
 
-def _halves(rows: Any) -> Any:
+def halves(rows: Any) -> Any:
     """(…, C) as (…, B, 2, 4): the one members of four pairs, and the other."""
     return rows.reshape(*rows.shape[:-1], -1, 2, PAIRS)
 
 
 def _bounds(rows: FloatArray, modal: bool) -> FloatArray:
     """(…, B, 4), what bounds |row · y| from now on, by the pairs' amplitudes."""
-    halves = _halves(rows)
-    pairs = np.hypot(halves[..., 0, :], halves[..., 1, :])
+    members = halves(rows)
+    pairs = np.hypot(members[..., 0, :], members[..., 1, :])
     if not modal:  # by |y|, which is at most the sum of the amplitudes
         pairs[:] = _GROWTH * np.linalg.norm(rows, axis=-1)[..., None, None]
     return np.asarray(pairs * (1.0 + 1e-9), np.float64)  # what is multiplied up, span by span, is rounded
@@ -450,8 +450,8 @@ def _propagate(generator: FloatArray, result: FloatArray) -> None:
     result : (D, SPANS + 1, B, 2, 8)
     """
     each = np.arange(generator.shape[-1])
-    partners = _halves(each)[:, ::-1].ravel()
-    own, cross = _halves(generator[:, each, each]), _halves(generator[:, each, partners])  # (D, B, 2, 4)
+    partners = halves(each)[:, ::-1].ravel()
+    own, cross = halves(generator[:, each, each]), halves(generator[:, each, partners])  # (D, B, 2, 4)
     shares = result.reshape(*result.shape[:-1], 2, PAIRS)
     shares[:, -1, :, SELF], shares[:, -1, :, CROSS] = own, cross
     own, cross, times = own[:, None], cross[:, None], _ladder(result.shape[1] - 1)[:, None, None, None]

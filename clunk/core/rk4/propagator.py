@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clunk.core.arrays import ComplexArray, FloatArray, IntArray
-from clunk.core.reductions import Reduction, constrained, with_wave, without_drift
+from clunk.core.exact.flows import CURVATURE, PAIRS, SWAY, Flows, halves
 from clunk.core.regimes import System
 from clunk.core.status import Status
-from clunk.core.tables import ACCELERATION, held_inputs
+from clunk.core.tables import TORQUE, TORQUE_RATE
 
 # On a step of length h, |p(s)| exceeds its larger end value by at most max|p''| h²/8 <= |c2|/4 + 3|c3|/4 + 3|c4|/2
 # in the step's Taylor terms c_k = p_k h^k; these factors make that a plain sum.
@@ -17,7 +17,7 @@ BLOCK = 4  # steps in one product: a third fewer operations a step than four pro
 # steps in one product that tells nothing of what is between its ends, where a bound does: BLOCK times a power of 2
 STRIDE = 64
 _LANES = 8  # states and outputs are padded to whole SIMD blocks; `rk4.run` unrolls over one block of columns
-_MAX_CONDITION = 1e8  # of an eigenbasis; beyond it half the digits of the modal amplitudes are gone
+_ZERO = 1e-7  # of the fastest rate: a rigid motion's double zero is found to half the digits
 
 
 class Steps(NamedTuple):
@@ -36,21 +36,24 @@ class Steps(NamedTuple):
     stride_input: FloatArray  # (K, I, rows)
     observe: FloatArray  # (K, columns, outputs)
     observe_input: FloatArray  # (K, I, outputs)
-    # bounds on what follows, by the amplitudes of decaying modes, of which a flow has M at most
+    # bounds on what follows, by the amplitudes of M pairs of coordinates, see `exact.flows`
     settles: IntArray  # (K,)  whether they bound all that follows
     strides: IntArray  # (K,)  whether they bound a stride
-    mode_rows: FloatArray  # (K, columns, 2 M)  modal coordinates of a state, real parts, then imaginary parts
+    mode_rows: FloatArray  # (K, columns, 2 M)  coordinates y of a state, of all pairs the one, then the other
     mode_input: FloatArray  # (K, I, 2 M)  less those of the steady motion
-    mode_reach: FloatArray  # (K, F, M)  largest change of a functional per unit amplitude of a mode
+    mode_reach: FloatArray  # (K, F, M)  largest change of a functional per unit amplitude of a pair
     mode_sag: FloatArray  # (K, F, M)  its largest distance from its chord over a stride, per unit amplitude
     steady_sag: FloatArray  # (K, I, F)  and that of the steady motion, signed
     ramp_sag: FloatArray  # (K, 3, F)  and what a ramp adds, per unit of its torque and rate, then its change per rate
     rest_functional: FloatArray  # (K, F, I)
 
 
-def build_steps(system: System, step: float) -> tuple[System, Steps]:
-    """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s."""
-    stable, *bounds = _modal_bounds(system, step)
+def build_steps(system: System, flows: Flows, step: float) -> tuple[System, Steps]:
+    """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s.
+
+    flows : of the driveline, whose modes tell what can follow; of a load with ramps, without these
+    """
+    stable, *bounds = _bounds(system, flows, step)
     propagator = _propagator(system.rates, system.inputs, system.functionals, system.feedthrough, step)
     if not stable:
         system = system._replace(status=int(Status.UNSTABLE_STEP))
@@ -125,122 +128,50 @@ def _padded(count: int) -> int:
     return -(-count // _LANES) * _LANES
 
 
-def _modal_bounds(system: System, step: float) -> tuple[Any, ...]:
+def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     """Per flow, what bounds a functional for all time, and over a stride: its steady motion and its modes' amplitudes.
 
-    With left eigenvectors w_k and right v_k, C x = C x_steady + sum of Re(C v_k w_k·(x - x_steady) g_k), where |g_k| is
-    at most 1 both for exp(λ t) and for RK4's powers of R(h λ), within a step included (checked on a grid of partial
-    steps). Over n steps g_k is away from its chord by at most n² |h λ|²/8 of the largest second derivative, which is
-    1 + z + z²/2 on a partial step z, and by n² |h λ|⁵/96 more for the kinks between quartics; and by at most 2.
-
-    The steady motion is at rest, or under a ramp of the torque C x_steady has a constant rate; where parts of the
-    driveline are free of each other, it is a parabola, away from its chord by (n h)²/8 of its second derivative. (Rates
-    below 1e-7 of the fastest are taken to be zero.) A flow with a badly conditioned eigenbasis has no such bounds.
+    With pairs of coordinates y and their rates λ, a functional is that of the origin and a sum of c · y. |y| never
+    grows, neither by exp(λ t) nor by RK4's powers of R(h λ), within a step included (checked on a grid of partial
+    steps). Over n steps c · y is away from its chord by at most n² h²/8 of the bound of its second derivative, which is
+    1 + z + z²/2 of that on a partial step z, and by n² |h λ|³/96 of it more for the kinks between quartics; and by at
+    most twice what such a derivative is of. The origin is, where parts of the driveline are free of each other, a
+    parabola, and under a ramp a cubic: away from its chord by (n h)²/8 of its second derivative. A flow without modes
+    has no such bounds.
 
     Returns whether RK4 is stable, and the fields of `Steps` from `settles` on.
     """
-    flows, size, driven = system.inputs.shape
-    mechanical, states = 2 * system.inertias, size
-    ramp = size > mechanical and not system.rates[0, mechanical + 1, mechanical:].any()
-    if ramp:  # its wave is no part of the modes
-        states = mechanical
-    joints = np.vstack([system.lashes, system.frictions])[:, system.inertias : mechanical]
-    lashes, rubbing = len(system.lashes), len(system.frictions)
-    held = held_inputs(lashes, rubbing, driven)
-    stuck_stride = flows >> rubbing
-    settles, strides = np.zeros((2, flows), dtype=np.int64)
-    modes = np.zeros((flows, states, size), np.complex128)
-    modes_input = np.zeros((flows, states, driven), np.complex128)
-    reach, sag = np.zeros((2, flows, system.functionals.shape[1], states))
-    steady_sag, rest_functional = np.zeros((2, flows, system.functionals.shape[1], driven))
-    ramp_sag = np.zeros((flows, 3 if ramp else 0, system.functionals.shape[1]))
-    stable, most, parabola = True, 0, (STRIDE * step) ** 2 / 8
-    for flow in range(flows):
-        ties = [system.impulsive * (flow >> lash & 1) for lash in range(lashes)]
-        ties += [flow // (stuck_stride << k) & 1 for k in range(rubbing)]
-        free = constrained(joints, ties)
-        rates, inputs = system.rates[flow, :states, :states], system.inputs[flow, :states]
-        shift = np.zeros((states, driven))
-        shift[:mechanical, held] = free.shift
-        forcing = inputs + rates @ shift
-        expand, pick, decay, right = _modes(rates, free, system.drift)
-        settles[flow] = not np.any(decay == 0.0)
-        if settles[flow] == 0:
-            expand, pick, decay, right = _modes(rates, free, _free_angles(rates[:mechanical, :mechanical], free))
-        partial_steps = step * decay[:, None] * (np.arange(1, 9) / 8)
-        growth = rk4_growth(partial_steps, 1.0)
-        stable = stable and bool(np.all(growth[:, -1] <= 1 + 1e-9))
-        if np.any(growth > 1 + 1e-12) or (decay.size and np.linalg.cond(right) > _MAX_CONDITION):
-            settles[flow] = 0
-            continue
-        strides[flow] = 1
-        chosen = np.flatnonzero((decay.imag >= 0) & (decay != 0.0))  # one of each pair
-        kept, most = slice(chosen.size), max(most, chosen.size)
-        weight = np.where(decay[chosen].imag > 0, 2.0, 1.0)
-        left, right = (np.linalg.inv(right) @ pick)[chosen], expand @ right[:, chosen]
-        decay, partial_steps = decay[chosen, None], partial_steps[chosen]
-        modes[flow, kept, :states] = left
-        modes_input[flow, kept] = left @ forcing / decay - left @ shift
-        second = system.functionals[flow] @ system.rates[flow] @ system.rates[flow]  # rows of second derivatives
-        functionals, curving = system.functionals[flow, :, :states], second[:, :states]
-        bending = weight * np.abs(curving @ right)
-        # of a slow mode that moves no functional, the curvature's rounding is no measure of its reach
-        of_mode = weight * np.abs(functionals @ right) if settles[flow] else bending / np.abs(decay.T) ** 2
-        each = np.abs(step * decay[:, 0])
-        curvature = np.abs(1 + partial_steps * (1 + partial_steps / 2)).max(axis=1, initial=1.0)
-        reach[flow, :, kept] = of_mode
-        sag[flow, :, kept] = np.minimum(parabola * bending * (curvature + each**3 / 12), 2.0 * of_mode)
-        if ramp:
-            by_torque = left @ system.rates[flow, :states, states, None] / decay
-            modes[flow, kept, states:] = np.hstack([by_torque, by_torque / decay])
-        if settles[flow]:
-            rest = shift - expand @ np.linalg.solve(pick @ rates @ expand, pick @ forcing)
-            rest_functional[flow] = functionals @ rest + system.feedthrough[flow]
-            continue
-        rest = shift - np.real(weight * right @ (left @ forcing / decay))
-        steady_sag[flow] = curving @ rest + functionals @ rates @ inputs
-        if ramp:
-            by_ramp = np.real(weight * right @ modes[flow, kept, states:])
-            ramp_sag[flow, :2] = (second[:, states:] - curving @ by_ramp).T
-            ramp_sag[flow, 2] = STRIDE * step * ramp_sag[flow, 0]
-    if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
-        rest_functional[:, ACCELERATION : lashes * system.functionals_per_lash : system.functionals_per_lash] = 0.0
-    rows = _real_rows(modes[:, :most], modes_input[:, :most])
-    bounds = *rows, reach[..., :most], sag[..., :most], parabola * steady_sag.swapaxes(1, 2), parabola * ramp_sag
-    return stable, settles, strides, *bounds, rest_functional
+    states, size = flows.coordinates.shape[1], system.rates.shape[1]
+    eigenvalues = np.linalg.eigvals(system.rates[:, :states, :states]).astype(
+        np.complex128
+    )  # without what is no mode, a ramp
+    largest = np.abs(eigenvalues).max(axis=-1, keepdims=True)
+    eigenvalues[np.abs(eigenvalues) <= _ZERO * largest] = 0.0
+    stable = bool(np.all(rk4_growth(eigenvalues, step) <= 1 + 1e-9))
 
+    rates = flows.propagator[:, -1] / flows.span[:, 0, None, None, None]
+    own, cross = np.moveaxis(rates.reshape(*rates.shape[:-1], 2, PAIRS), 2, 0)  # SELF and CROSS, (K, B, 2, 4)
+    turning = -cross.prod(axis=-2, keepdims=True)  # ω², or 0
+    partial_steps = step * (own + 1j * np.sqrt(turning)) * np.arange(1, 9).reshape(-1, 1, 1, 1, 1) / 8
+    strides = flows.modal * (rk4_growth(partial_steps, 1.0) <= 1 + 1e-12).all(axis=(0, 2, 3, 4))
+    curvature = np.abs(1 + partial_steps * (1 + partial_steps / 2)).max(axis=0) + np.abs(partial_steps[-1]) ** 3 / 12
+    squared = own**2 + turning
+    slowest = np.where(squared > 0.0, squared, np.inf).min(axis=-2)
+    one, other = CURVATURE, CURVATURE + PAIRS
+    bending = np.hypot(flows.watch[..., one:other], flows.watch[..., other : other + PAIRS])  # (K, F, B, 4)
+    parabola = (STRIDE * step) ** 2 / 8
+    sag = np.minimum(parabola * curvature.max(axis=-2)[:, None] * bending, 2.0 / slowest[:, None] * bending)
+    reach, pairs = flows.watch[..., SWAY : SWAY + PAIRS], (*bending.shape[:2], -1)
 
-def _modes(rates: FloatArray, free: Reduction, drift: FloatArray) -> tuple[FloatArray, FloatArray, Any, Any]:
-    """Coordinates without constraints and drift, `expand` and `pick` of a `Reduction`, and the eigenvectors in them.
-
-    Eigenvalues that are zero but for rounding are zero: a rigid motion's double zero is found to half the digits.
-    """
-    expand, pick, _ = with_wave(without_drift(free, drift), len(rates) - len(free.shift))
-    decay, right = (array.astype(np.complex128) for array in np.linalg.eig(pick @ rates @ expand))
-    decay[np.abs(decay) <= 1e-7 * np.max(np.abs(decay), initial=0.0)] = 0.0
-    return expand, pick, decay, right
-
-
-def _free_angles(rates: FloatArray, free: Reduction) -> FloatArray:
-    """Rigid turns of the parts of a driveline that are free of each other and of the ground, (N, parts)."""
-    n = len(free.pick) // 2
-    stiffness = free.pick[n:] @ rates @ free.expand[:, :n]  # the angles' effect on the accelerations
-    rounding = 1e-12 * np.max(np.abs(stiffness), initial=0.0)
-    joined = (np.abs(stiffness) > rounding) | np.eye(n, dtype=bool)
-    reached = np.linalg.matrix_power((joined | joined.T).astype(float), n) > 0.0
-    turns = np.zeros((2 * n, 0))
-    for part in np.unique(reached, axis=0):
-        _, singular, right = np.linalg.svd(stiffness[np.ix_(part, part)])
-        if singular[-1] <= rounding:
-            turn = np.zeros((2 * n, 1))
-            turn[:n][part, 0] = right[-1]
-            turns = np.hstack([turns, turn])
-    return free.expand @ turns
-
-
-def _real_rows(modes: ComplexArray, modes_input: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Real and imaginary parts of modal coordinates, of states and of inputs, as the columns of products."""
-    flows, count, size = modes.shape
-    rows = np.zeros((flows, _padded(size), 2 * count))
-    rows[:, :size] = np.concatenate([modes.real, modes.imag], axis=1).swapaxes(1, 2)
-    return rows, np.concatenate([modes_input.real, modes_input.imag], axis=1).swapaxes(1, 2).copy()
+    steady = flows.origin[:, 0, :, :states] @ flows.coordinates  # of y, by the inputs
+    rows = np.zeros((len(steady), _padded(size), steady.shape[-1]))
+    rows[:, :states] = flows.coordinates
+    bent, bends_on = parabola * flows.origin_output[:, 2:].transpose(1, 0, 3, 2)
+    of_ramp = np.zeros((len(steady), 3 if states < size else 0, pairs[1]))
+    if states < size:
+        by_ramp = [TORQUE, TORQUE_RATE]
+        rows[:, states:size] = -steady[:, by_ramp]
+        of_ramp[:, :2], of_ramp[:, 2] = bent[:, by_ramp], STRIDE * step * bends_on[:, TORQUE_RATE]
+    by_member = (halves(array).swapaxes(-3, -2).reshape(array.shape) for array in (rows, -steady))
+    bounds = *by_member, reach.reshape(pairs), sag.reshape(pairs), bent, of_ramp
+    return stable, strides * flows.steady, strides, *bounds, flows.origin_output[:, 0].copy()
