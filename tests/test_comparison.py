@@ -27,6 +27,7 @@ from clunk.analysis.measurements import (
     ExperimentComparison,
     Measurement,
     compare_experiment,
+    is_experiment,
     read_experiment,
 )
 from clunk.plot import PlotError
@@ -310,6 +311,9 @@ def test_a_file_without_measurements_a_missing_one_and_a_directory_are_sentences
             read_experiment(written(tmp_path, content))
     with pytest.raises(ClunkError, match=r"does not exist; .* table_4_1"):
         read_experiment(tmp_path / "none.csv")
+    assert is_experiment("table_4_2")  # misspelt: of a results file nobody thinks there
+    with pytest.raises(ClunkError, match=r"table_4_2 does not exist; .* table_4_1"):
+        read_experiment("table_4_2")
     with pytest.raises(ClunkError, match="Is a directory"):
         read_experiment(tmp_path)
     with pytest.raises(ClunkError, match="cannot be read"):

@@ -178,9 +178,15 @@ def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
         ),
         ("[optimize]\n", "[optimize]\nrobust = 0.9\n", "needs [[sweep.tolerances]]"),
         ('"load.levels[1]"\nlow', '"load.durations[1]"\nlow', "is free as optimize.parameters[1] already"),
-        ('"label=NI"', '"severity"', "severity is no condition"),
+        ('"label=NI"', '"severity"', "optimize.subject_to: severity is no condition"),
         ('"label=NI"', '"severty<=8"', "did you mean severity"),
+        ('"label=NI"', '"label=XX"', 'optimize.subject_to: "label=XX" compares nothing'),
         ('minimize = "load.durations[1]"', 'minimize = "label"', "A label cannot be minimised"),
+        (
+            'minimize = "load.durations[1]"',
+            'minimize = "load.durations[7]"',
+            'optimize.minimize, a free key, release_time or a quantity: There is no quantity "load.durations[7]"',
+        ),
     ],
 )
 def test_what_cannot_be_optimised_is_refused_in_a_sentence(old, new, sentence):

@@ -67,8 +67,9 @@ TABLES = {"table_4_1": files(__package__) / "table_4_1.csv"}  # the report's, wh
 
 
 def is_experiment(path: str | os.PathLike[str]) -> bool:
-    """Whether a path names measurements rather than a results file: a .csv, or the name of one of `TABLES`."""
-    return Path(path).suffix.lower() == ".csv" or (not Path(path).exists() and os.fspath(path) in TABLES)
+    """Whether a path names measurements rather than a results file: a .csv, or one of `TABLES`, also misspelt."""
+    suffix = Path(path).suffix.lower()
+    return suffix == ".csv" or (suffix != ".h5" and not Path(path).exists())
 
 
 def read_experiment(path: str | os.PathLike[str]) -> Experiment:

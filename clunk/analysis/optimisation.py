@@ -9,7 +9,8 @@ It ends by construction: generations and starts are counted beforehand.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,14 +129,17 @@ class Problem:
         self.low, self.high = np.array([(each.low, each.high) for each in free], np.float64).T
         self._key = next((k for k, each in enumerate(free) if minimize in each.keys), None)
         is_of_runs = self._key is None and minimize != RELEASE_TIME
-        self._numbers = [quantity_of(text, study) for text in (shown, minimize if is_of_runs else "") if text]
-        self._conditions = [quantity_of(text, study) for text in self.optimize.subject_to]
-        for quantity in self._numbers:
-            if quantity.type == "label":
-                raise ClunkError("A label cannot be minimised; severity or double_sided, for example, can.")
-        for quantity in self._conditions:
-            if quantity.type != YES_NO or quantity.name == "nominal_label":
-                raise ClunkError(f"{quantity.name} is no condition; severity<=8000 or double_sided=0 is one.")
+        self._numbers = [quantity_of(shown, study)] if shown else []
+        with _errors_of("minimize, a free key, release_time or a quantity"):
+            self._numbers += [quantity_of(minimize, study)] if is_of_runs else []
+            for quantity in self._numbers:
+                if quantity.type == "label":
+                    raise ClunkError("A label cannot be minimised; severity or double_sided, for example, can.")
+        with _errors_of("subject_to"):
+            self._conditions = [quantity_of(text, study) for text in self.optimize.subject_to]
+            for quantity in self._conditions:
+                if quantity.type != YES_NO or quantity.name == "nominal_label":
+                    raise ClunkError(f"{quantity.name} is no condition; severity<=8000 or double_sided=0 is one.")
         self.study = measuring(nominal(study), [*self._conditions, *self._numbers])
         design = design_of(self.study)
         self._cells = design.columns(np.arange(design.cells)) if design.shape else {}
@@ -222,6 +226,15 @@ class Problem:
         swept = {key.removeprefix("load."): values for key, values in columns.items() if key.startswith("load.")}
         count = len(next(iter(columns.values())))
         return np.broadcast_to(loads_of(self.study.load, count, **swept)[1][:, -1, BEGIN], count)
+
+
+@contextmanager
+def _errors_of(key: str) -> Iterator[None]:
+    """Context whose errors begin with a key of [optimize]."""
+    try:
+        yield
+    except ClunkError as error:
+        raise ClunkError(f"optimize.{key}: {error}") from error
 
 
 def _table(study: Study) -> Optimize:
