@@ -35,9 +35,9 @@ _OK = int(Status.OK)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 LONGEST_PATTERN = 62
-EVENTS = 512  # of a run, that there is room for at first; a run that finds too little is run again,
-MORE = 8  # with so many times as much
-_EVENT_MEMORY = 1_000_000  # events that there is room for at a time: 48 MB, and 16 MB for each lash
+EVENTS = 2048  # of a run, that there is room for at first; a run that finds too little is run again,
+MORE = 64  # with so many times as much
+_EVENT_MEMORY = 2_000_000  # events that there is room for at a time: 96 MB, and 32 MB for each lash, if all happen
 
 CELL = np.dtype(
     [

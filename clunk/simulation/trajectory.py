@@ -226,7 +226,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
         stages = np.count_nonzero(~is_event)
         if len(phases) - stages > study.solver.max_events + 1 or stages > switching.MOST_STAGES:
             raise ClunkError(f"{_sentence(study, Status.EVENT_BUFFER_FULL)} {_repeating(study, phases)}")
-        room *= tile.MORE
+        room = min(tile.MORE * room, study.solver.max_events + switching.MOST_STAGES + 1)
     if status != Status.OK:
         raise ClunkError(_sentence(study, status))
     states = output.states[0, : len(phases), : 2 * system.inertias].copy()

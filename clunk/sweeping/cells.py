@@ -46,6 +46,7 @@ _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
+_MEASURED, _MORE_MEASURED = 512, 8  # `kernel.EVENTS` and `kernel.MORE` of runs with states: many at a time
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
@@ -218,7 +219,8 @@ class Grid:
             most = self.study.solver.max_events
             if measures and batch.systems.regimes.size > batch.systems.regime_strides[lashes]:
                 most += MOST_STAGES  # changes of stage need room too
-            room = min(kernel.EVENTS, most)
+            first, more = (_MEASURED, _MORE_MEASURED) if measures else (kernel.EVENTS, kernel.MORE)
+            room = min(first, most)
             while positions.size and not stop[0]:
                 if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
                     batch = batch.at(cases.drivelines[:1]) if len(batch.systems.rates) > 1 else batch
@@ -239,7 +241,7 @@ class Grid:
                     if full.size < part.size:
                         break
                 left = np.concatenate(again)
-                positions, cases, room = positions[left], cases.at(left), min(kernel.MORE * room, most)
+                positions, cases, room = positions[left], cases.at(left), min(more * room, most)
 
     def _by_batches(
         self, values: Mapping[str, Floats], count: int

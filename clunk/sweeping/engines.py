@@ -73,8 +73,10 @@ def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Ge
         while True:
             workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
             while size := next_tile(waiting.size, len(running), count, workers, grid.tile_cells):
-                running.add(engine.submit(grid.run, waiting[:size].copy(), stop))  # may be kept, the rest not
-                waiting = waiting[size:]
+                # each of the last tiles has cells of all that is left: they take equally long
+                part = slice(0, None, -(-waiting.size // size)) if waiting.size <= workers * size else slice(size)
+                running.add(engine.submit(grid.run, waiting[part].copy(), stop))  # may be kept, the rest not
+                waiting = waiting[size:] if part.step is None else np.delete(waiting, part)
             if not running:
                 return
             with deferred_signals():

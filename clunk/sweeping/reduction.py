@@ -118,7 +118,8 @@ class Reduction:
         assert self.known.all()
         rows = np.concatenate([rows for rows, _ in self._details])
         order = np.argsort(np.repeat(rows, self._records[self.grid.layout.counted_by][rows]), kind="stable")
-        return self._records, np.concatenate([details for _, details in self._details])[order]
+        details = np.concatenate([details for _, details in self._details])
+        return self._records, details.take(order)  # does with records in a fifth of the time what indexing does
 
 
 @lru_cache(4)
