@@ -101,22 +101,21 @@ def _reference_at(_: Any, rows: Any, k: Any, like: Any) -> Any:
 def rows_of(values: Any, each: Any) -> npt.NDArray[np.int64]:
     """A named tuple of numbers and arrays in the words by which compiled functions know it, D times.
 
-    Row k has `each.NAME[k]` in the place of arrays of which `each`, a tuple of the same type, has an axis of D more.
-    Rows hold bare pointers: the arrays are to outlive them.
+    Row k has `each.NAME[k]` in the place of arrays of which `each`, a tuple of the same type, has an axis of D more;
+    `values` are those of row 0. Rows hold bare pointers: the arrays are to outlive them.
     """
     words: list[int] = []
-    varying = {}  # place of a pointer -> the array of D
+    places, strides = [], []  # of pointers that differ from row to row, and by how much
     for field, array in zip(values, each, strict=True):
         if isinstance(field, np.ndarray):  # as numba has it, of no owner
             if array.ndim > field.ndim:
-                varying[len(words) + 4] = array
+                places.append(len(words) + 4)
+                strides.append(array.strides[0])
             words += [0, 0, field.size, field.itemsize, field.ctypes.data, *field.shape, *field.strides]
         else:
             words.append(field)
-    drivelines = np.arange(len(each[0]))
-    rows = np.tile(np.array(words), (drivelines.size, 1))
-    for place, array in varying.items():
-        rows[:, place] = array.ctypes.data + drivelines * array.strides[0]
+    rows = np.tile(np.array(words), (len(each[0]), 1))
+    rows[:, places] += np.outer(np.arange(len(rows)), strides)
     return rows
 
 

@@ -10,10 +10,12 @@ from clunk.core.exact.flows import Flows
 from clunk.core.rk4.propagator import build_steps
 from clunk.core.tile import Batch, batch_of
 from clunk.simulation.driveline import Driveline, prepare
+from clunk.simulation.load import WAVES
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
 from clunk.study.designs import design_of_points
 from clunk.study.document import Place
+from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows
 from clunk.study.study import Study, replace_values
@@ -27,13 +29,23 @@ _ENTRIES = 2**18  # of all matrices of a batch's flows, of some 250 bytes of tab
 def prepare_one(study: Study) -> Batch:
     """The switched linear system of a study, the tables of its method, and the channels of its measures, if any.
 
-    The latest ones are kept: they are a third of the time of a small sweep, and of a call with few points.
+    The latest ones are kept: they are a third of the time of a small sweep, and of a call with few points. By a study
+    of `of_system` they are kept for other loads and backlashes, too.
     """
     line = Driveline.from_study(study)
     batch = batch_of(*prepare(study, line))
     if study.measured:
         batch = batch._replace(channels=channels_of(study, line, batch.systems))
     return batch if study.solver.method == "exact" else _by_rk4(batch, study.solver.step)
+
+
+def of_system(study: Study) -> Study:
+    """The study without its load's torques and times, backlashes and sweep: with others it has the same system."""
+    kept = {"on", "profile", WAVES.get(study.load.profile)}
+    load = study.load.model_copy(update=dict.fromkeys(study.load.model_fields_set - kept))
+    lashes = tuple(lash.model_copy(update={"backlash_deg": 0.0}) for lash in study.lashes)
+    lash = lashes if isinstance(study.lash, tuple) else lashes[0]
+    return study.model_copy(update={**dict.fromkeys(NOT_OF_A_RUN), "title": "", "load": load, "lash": lash})
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:

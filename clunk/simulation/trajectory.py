@@ -13,7 +13,7 @@ from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.simulation import driveline
-from clunk.simulation.batches import prepare_one
+from clunk.simulation.batches import of_system, prepare_one
 from clunk.simulation.load import cases_of
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
@@ -206,7 +206,7 @@ def simulate(study: Study) -> Trajectory:
 
 def run_of(study: Study, case: tile.Cases) -> Trajectory:
     """The run of a study from the beginning that a case of one cell has."""
-    batch = prepare_one(study)
+    batch = prepare_one(of_system(study))
     room, lashes, status = tile.EVENTS, len(study.lashes), Status.EVENT_BUFFER_FULL
     system, stop, size = batch.system, np.zeros(1, np.uint8), batch.system.rates.shape[1]
     while status == Status.EVENT_BUFFER_FULL:

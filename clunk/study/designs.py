@@ -21,8 +21,9 @@ from clunk.study.errors import Problem, report
 from clunk.study.keys import validated, with_tuples
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import drawn_numbers, located, quantity, unswept_value
+from clunk.study.rules import broken_rules
 from clunk.study.study import Study
-from clunk.study.sweeps import Axis
+from clunk.study.sweeps import Axis, Sweep
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +107,12 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
         dotted(located(study, key)[0]): with_tuples(np.asarray(values).tolist()) for key, values in points.items()
     }
     axes = tuple({"parameter": parameter, "values": values} for parameter, values in columns.items())
-    document = {**study.model_dump(exclude=NOT_OF_A_RUN), "sweep": {"design": "zip", "axes": axes}}
-    walked, findings = validated(Study, document)
-    if walked is not None:
-        return design_of(walked)
+    sweep, findings = validated(Sweep, {"design": "zip", "axes": axes}, ("sweep",))
+    if sweep is not None:
+        walked = study.model_copy(update={**dict.fromkeys(NOT_OF_A_RUN), "sweep": sweep})
+        findings = broken_rules(walked)
+        if not findings:
+            return design_of(walked)
     problems = []
     for place, message in findings:
         key, point = dotted(place), ""

@@ -5,6 +5,7 @@ read and write it with items from 1, ``driveline.shafts[3].damping``.
 """
 
 import contextlib
+import functools
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -119,6 +120,7 @@ def _is_too_deep(node: object, room: int = _DEEPEST) -> bool:
 # --- Places ----------------------------------------------------------------------------------------------------------
 
 
+@functools.lru_cache(maxsize=1024)
 def parse_place(key: str) -> Place | None:
     """Place that a dotted key names, items by number from 1; None where it is malformed.
 

@@ -164,15 +164,16 @@ def _leaf(node: Mapping[str, Any]) -> Key:
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def validated(model: type[Model], table: Any) -> tuple[Model | None, list[Finding]]:
+def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | None, list[Finding]]:
     """Validate the tables of a config: their model, or what is wrong with them.
 
     table : with tuples for lists, see `with_tuples`; its table of inertias and their names is what others refer to
+    at : the place of the table in a config
     """
     try:
         return model.model_validate(table, context=value_at(table, ("driveline",))), []
     except ValidationError as error:
-        errors = [(_place(detail["loc"]), detail) for detail in error.errors(include_url=False)]
+        errors = [((*at, *_place(detail["loc"])), detail) for detail in error.errors(include_url=False)]
     unknown = {place: _likely_key(place) for place, detail in errors if detail["type"] == "extra_forbidden"}
     findings: list[Finding] = []
     for place, detail in errors:

@@ -80,7 +80,7 @@ def parameter_at(parameter: str, document: Any) -> tuple[Place, Key]:
     ConfigError
         Where there is no such parameter.
     """
-    place = place_of(parameter, names_of(document))
+    place = place_of(parameter, names_of(document) if "[" in parameter else {})
     key = None if place is None else key_at(place)
     if place is not None and key is not None and key.quantity is not None and _is_there(place, document):
         return place, key

@@ -94,7 +94,7 @@ def converted(table: Any, key: str, target: str, convert: Callable[[float], floa
 
 def _one_line(text: str) -> str:
     # control characters and broken Unicode can be written neither to a terminal nor to a results file
-    if any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
+    if not text.isprintable() and any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
         raise refusal(((), f"found {shorten(text)}; must be text on one line"))
     return text
 

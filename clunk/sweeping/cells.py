@@ -22,7 +22,7 @@ from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.core.switching import MOST_STAGES
-from clunk.simulation.batches import most_prepared, prepare_many, prepare_one
+from clunk.simulation.batches import most_prepared, of_system, prepare_many, prepare_one
 from clunk.simulation.load import WAVES, cases_of
 from clunk.study.arrays import Array, Cells, Floats, Records
 from clunk.study.designs import Design, design_of
@@ -143,7 +143,7 @@ class Grid:
     @cached_property
     def _nominal(self) -> kernel.Batch:
         """The driveline with the study's own values of structural parameters."""
-        return prepare_one(self.study)
+        return prepare_one(of_system(self.study))
 
     def shared(self) -> System | None:
         """The system that all cells share, if they do."""
