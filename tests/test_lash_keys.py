@@ -5,6 +5,7 @@ import tomllib
 import pytest
 
 import clunk
+from clunk.analysis.measurements import compare_experiment, read_experiment
 from clunk.study.keys import json_schema
 from clunk.study.parameters import nominal_value, parameters, quantity
 from clunk.study.study import content, digest, to_toml
@@ -124,3 +125,37 @@ def test_a_missing_key_of_an_only_lash_is_not_said_to_be_the_presets():
     with pytest.raises(clunk.ConfigError) as caught:
         clunk.study_from_text(ONE.replace("radius = 0.08\n", ""))
     assert "preset" not in str(caught.value)
+
+
+def test_a_name_stands_for_the_number_wherever_a_key_does(command, here):
+    """On axes, in --at, --along, --facet and --overlay, in the columns of measurements, and from Python."""
+    gaps, stiffnesses = SWEPT.format("lash[gear].backlash_deg"), SWEPT.format("driveline.shafts[clutch].stiffness")
+    shaft = '[[driveline.shafts]]\nname = "clutch"\nbetween = [1, 2]\nstiffness = 31.3\ndamping = 0.08\n'
+    joined = "[[driveline.shafts]]\nbetween = [2, 3]\nstiffness = 31.3\ndamping = 0.04\n"
+    held = '[[driveline.shafts]]\nbetween = [4, "ground"]\nstiffness = 31.3\ndamping = 0.1\n'
+    text = f"{TWO}{shaft}{joined}{held}[solver]\nmethod = 'exact'\n{gaps}{stiffnesses}"
+    (here / "two.toml").write_text(text, encoding="utf-8")
+    results = clunk.sweep(clunk.study_from_text(text), "two.h5", boundaries=False)
+    by_name = {"lash[gear].backlash_deg": 2.0, "driveline.shafts[clutch].stiffness": 1.0}
+    by_number = {"lash[1].backlash_deg": 2.0, "driveline.shafts[1].stiffness": 1.0}
+    assert results.at(by_name).arrays.keys() == results.at(by_number).arrays.keys()
+    assert results.of_lash("gear").cell(by_name).keys() == results.of_lash("gear").cell(by_number).keys()
+    at = [word for key, value in by_name.items() for word in ("--at", f"{key}={value}")]
+    (here / "measured.csv").write_text(",".join([*by_name, "label"]) + "\n2.0,1.0,NI\n", encoding="utf-8")
+    for words in (
+        ("simulate", "two.toml", *at),
+        ("simulate", "two.h5", *at),
+        ("thresholds", "two.toml", "--along", "lash[gear].backlash_deg", *at[2:]),
+        ("plot", "two.h5", "--lash", "gear", *at[:2], "-o", "map.svg"),
+        ("compare", "two.h5", "measured.csv"),
+        ("report", "two.h5", *at[:2], "-o", "page.html"),
+    ):
+        code, _, errors = command(*words)
+        assert code == 0, f"{words}\n{errors}"
+
+
+def test_the_only_lash_may_be_numbered_in_the_columns_of_measurements(here):
+    study = clunk.study_from_text(ONE + SWEPT.format("lash.backlash_deg"))
+    (here / "measured.csv").write_text("lash[1].backlash_deg,label\n2.0,DS(1)SS(1)\n", encoding="utf-8")
+    compared = compare_experiment(clunk.sweep(study), read_experiment("measured.csv"))
+    assert compared.points[0].at == {"lash.backlash_deg": 2.0}

@@ -175,9 +175,9 @@ class TestFailedCells:
             ),
             (
                 "solver.step",
-                [1e-4, 2e-3, 2e-4],
-                [Status.OK, Status.UNSTABLE_STEP, Status.OK],
-                ["DS(1)SS(1)", "failed", "DS(1)SS(1)"],
+                [1e-4, 2e-3, 2e-4, 0.1],  # the last grows beyond double precision within 64 steps
+                [Status.OK, Status.UNSTABLE_STEP, Status.OK, Status.UNSTABLE_STEP],
+                ["DS(1)SS(1)", "failed", "DS(1)SS(1)", "failed"],
             ),
             (
                 "load.ratio",

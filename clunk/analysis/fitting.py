@@ -35,7 +35,7 @@ from clunk.study.axes import variable_of
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.models import lash_position
-from clunk.study.parameters import located, nominal_value, parameters, with_draws
+from clunk.study.parameters import located, nominal_value, spellings, with_draws
 from clunk.study.rules import complaint
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
@@ -178,7 +178,7 @@ class Candidates:
 
 def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
     """Dotted keys of the measured columns. Raises ClunkError where the study has no such parameter."""
-    known = {variable_of(name): name for name in parameters(study.model_dump(exclude_none=True))}
+    known = {variable_of(name): key for name, key in spellings(study.model_dump(exclude_none=True)).items()}
     for column in experiment.columns:
         if column not in known:
             hint = f"; did you mean {likely}?" if (likely := nearest(column, known)) else "."

@@ -8,7 +8,7 @@ import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +20,7 @@ from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis, variable_of
 from clunk.study.document import read_text
 from clunk.study.errors import ClunkError, shorten
+from clunk.study.parameters import spellings
 from clunk.study.records import SENTENCE, Record, counted, tells, told
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
@@ -257,6 +258,8 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
     ClunkError
         Where the measurements' columns are not the results' axes; an axis of one value needs no column.
     """
+    spelt = {variable_of(name): variable_of(key) for name, key in spellings(results.tables).items()}
+    experiment = replace(experiment, columns=tuple(spelt.get(column, column) for column in experiment.columns))
     variables = [axis.variable for axis in results.axes]
     swept = ", ".join(variables)
     for column in experiment.columns:

@@ -47,7 +47,7 @@ from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
-from clunk.study.parameters import drawn_numbers, with_draws
+from clunk.study.parameters import drawn_numbers, numbered, with_draws
 from clunk.study.records import as_text
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
@@ -290,6 +290,7 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     """
     axes = grid_axes(study, "Thresholds")
     names = [axis.parameter for axis in axes]
+    (along,) = numbered([along], study)
     if along not in names:
         likely = nearest(along, names)
         hint = f"; did you mean {likely}?" if likely else "."

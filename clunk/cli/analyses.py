@@ -265,7 +265,8 @@ def thresholds(
 
     _, axes = analysis.axes_of(study, along)
     if at:
-        study = with_axes_at(study, nearest_values([axis for axis in axes if axis.parameter != analysis.DRAW], at))
+        swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
+        study = with_axes_at(study, nearest_values(swept, at, study))
     is_toleranced = has_tolerances(study)
     if quantiles and not is_toleranced:
         raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")

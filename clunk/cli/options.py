@@ -87,7 +87,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     from clunk.study.parameters import nominal_value
 
     design = design_of(study)
-    named = nearest_values(design.axes, at)
+    named = nearest_values(design.axes, at, study)
     missing = [axis for axis in design.axes if axis.parameter not in named]
     if missing and all_needed:
         raise click.UsageError(f"Which cell? Also name by --at KEY=VALUE: {_spreads(missing)}.")
@@ -101,14 +101,17 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     return named
 
 
-def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...]) -> dict[str, float]:
-    """Values of axes that --at names, each the nearest one of its axis."""
+def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: Any) -> dict[str, float]:
+    """Values of axes that --at names, each the nearest one of its axis; document : config that has the axes."""
     import numpy as np
+
+    from clunk.study.parameters import numbered
 
     swept = {axis.parameter: axis for axis in axes}
     values: dict[str, float] = {}
     for assignment in at:
-        key, _, text = (part.strip() for part in assignment.partition("="))
+        name, _, text = (part.strip() for part in assignment.partition("="))
+        (key,) = numbered([name], document)
         try:
             axis, wanted = swept[key], float(text)
             nearest = float(axis.values[axis.nearest(wanted)])

@@ -32,7 +32,7 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     files.check(target, (".html",), reads=file)
     results = part = read_map(file)
     if at:
-        part = results.at(nearest_values(results.axes, at))
+        part = results.at(nearest_values(results.axes, at, results.tables))
     digests = [("config digest", results.config_digest), ("content digest", content_digest(dataset_of(results)))]
     write_text(target, page(part, digests))
     terminal.say_written(target)

@@ -30,7 +30,10 @@ _SENTENCES = {
         "more events than solver.max_events allows, or more changes of stage than are followed; "
         "raise solver.max_events, or shorten solver.end_time"
     ),
-    Status.UNSTABLE_STEP: "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode)",
+    Status.UNSTABLE_STEP: (
+        "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode; a load that lags or "
+        "swings still faster counts, too)"
+    ),
 }
 
 INTERRUPTED = 255  # never stored: the cell has to be run again

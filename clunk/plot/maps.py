@@ -55,6 +55,7 @@ from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.results.quantities import WHOLE, YES_NO, quantity_of
 from clunk.study.arrays import Floats
+from clunk.study.parameters import numbered
 
 _POINT = 6.5  # points, diameter of a measured point
 _POINT_LOOKS: dict[bool, tuple[str, Look]] = {  # of points that agree, and that do not
@@ -167,6 +168,7 @@ def facet_map(
     Of many values evenly spaced ones are drawn. Raises PlotError where a facet is no axis of several
     values, or not two axes are left for the maps.
     """
+    facets = numbered(facets, results.tables)
     changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
     if len(facets) > len(MOST_VALUES) or len(set(facets)) < len(facets) or not changing.keys() >= set(facets):
         raise PlotError(

@@ -17,6 +17,7 @@ from clunk.plot.style import MINUS, PlotError, bare, capital, plain, symbol_text
 from clunk.results.maps import Map
 from clunk.study.arrays import Array, Floats, Positions
 from clunk.study.axes import RUN, ResultAxis
+from clunk.study.parameters import numbered
 
 Codes = npt.NDArray[np.int16]
 
@@ -58,7 +59,7 @@ class View:
                 )
             return cls.of_grid(drawn)
         if names := [name for name in (x, y) if name is not None]:
-            return cls.of_points(drawn, names)
+            return cls.of_points(drawn, numbered(names, drawn.tables))
         coordinates = sorted((axis.parameter for axis in drawn.coordinates), key=lambda name: name not in USUAL)
         return cls.of_points(drawn, [*(name for name in swept if name != RUN), *coordinates][:2])
 

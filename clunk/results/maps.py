@@ -35,6 +35,7 @@ from clunk.study.axes import LASH, ResultAxis
 from clunk.study.designs import Design
 from clunk.study.document import value_at
 from clunk.study.models import lash_name, lash_position
+from clunk.study.parameters import numbered
 from clunk.study.records import Rows, as_text, counted
 
 
@@ -102,9 +103,14 @@ class Map(Design, ABC):
         """The names of the lashes, also of an only one."""
         return self.lashes or (self.setting("lash.name") or lash_name(0, None),)
 
+    @property
+    def tables(self) -> dict[str, Any]:
+        """The resolved config; not to be changed."""
+        return tables_of(self.config)
+
     def setting(self, key: str) -> Any:
         """Value of a dotted key of the resolved config; None where it has none."""
-        return value_at(tables_of(self.config), tuple(key.split(".")))
+        return value_at(self.tables, tuple(key.split(".")))
 
     def __getattr__(self, name: str) -> Array:
         """A quantity's array."""
@@ -155,7 +161,7 @@ class Map(Design, ABC):
         """
         names = [axis.parameter for axis in self.axes]
         index: list[slice] = [slice(None)] * len(names)
-        for parameter, value in values.items():
+        for parameter, value in zip(numbered(values, self.tables), values.values(), strict=True):
             if parameter not in names:
                 raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
             k = names.index(parameter)
@@ -338,7 +344,7 @@ class Results(Map):
         array([0.1191, 0.2613, 0.565 ])
         """
         names = [axis.parameter for axis in self.axes]
-        if set(values) != set(names):
+        if set(numbered(values, self.tables)) != set(names):
             raise ValueError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
         part = self.at(values)
         cell: dict[str, Any] = {axis.parameter: axis.values.item() for axis in (*part.axes, *part.coordinates)}

@@ -64,6 +64,26 @@ def parameters(document: Any) -> list[str]:
     return [dotted(place) for place in known]
 
 
+def spellings(document: Any) -> dict[str, str]:
+    """The parameters of a document or a config, by each way to write them: with numbers of items, or with names."""
+    known = parameters(document)
+    written = {parameter: parameter for parameter in known}
+    for listed, names in names_of(document).items():
+        for number, name in enumerate(names, 1):
+            item = listed if (listed, len(names)) == ("lash", 1) else f"{listed}[{number}]"
+            for parameter in known:
+                if parameter == item or parameter.startswith(f"{item}."):
+                    leaf = parameter.removeprefix(item)
+                    written |= {f"{listed}[{number}]{leaf}": parameter, f"{listed}[{name}]{leaf}": parameter}
+    return written
+
+
+def numbered(parameters: Iterable[str], document: Any) -> list[str]:
+    """Parameters as a sweep writes them, with numbers of items in the place of names; unknown ones as they are."""
+    written = spellings(document)
+    return [written.get(parameter, parameter) for parameter in parameters]
+
+
 def _steps(value: Any, step: str | int) -> Sequence[str | int]:
     """Steps from a value by which a place can go on: into the items of a list, or to a key of a table."""
     items = items_of(value)
