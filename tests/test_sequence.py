@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from clunk.core.events import EVENT, LOAD_STEP, OPENING, REJOIN, SEPARATION, TOUCH
-from clunk.core.sequence import find_primaries, label
+from clunk.core.sequence import COURSE, label, take_event
 
 STICKING = 0.004  # s
 
@@ -18,8 +18,8 @@ def primaries(*happened, initial=-1, sticking_time=STICKING):
     events[0]["kind"], events[0]["lash"] = LOAD_STEP, -1
     for k, (time, kind, side) in enumerate(happened, start=1):
         events[k]["time"], events[k]["kind"], events[k]["side"] = time, kind, side
-    found = np.zeros(events.size, np.int64)
-    return list(found[: find_primaries(events, events.size, 0, initial, sticking_time, found)])
+    course = np.array([(initial, 0, -np.inf)], COURSE).view(np.recarray)[0]
+    return [k for k, event in enumerate(events.view(np.recarray)) if take_event(course, event, sticking_time)]
 
 
 @pytest.mark.parametrize(

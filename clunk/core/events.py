@@ -1,10 +1,10 @@
 """What a run leaves behind: its events in order, each with what followed it.
 
 Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of each lash's
-acceleration over its window so far are kept beside it, one-sided limits at both ends included, so that the peak-to-peak
-value of a primary impact's window is the extremes of the phases in it. Where there is
-more than one element, a phase shorter than INSTANT has none: what happens at one time in several is written one after
-the other, and no state in between counts, in whichever order rounding puts them.
+acceleration over its window up to the end of that phase are kept beside it, one-sided limits at all events included, so
+that of the last phase in a primary impact's window they are those of the window. Where there is more than one element,
+a phase shorter than INSTANT adds nothing: what happens at one time in several is written one after the other, and no
+state in between counts, in whichever order rounding puts them.
 """
 
 import numpy as np
@@ -29,6 +29,7 @@ EVENT = np.dtype(
         ("regime", np.int64),  # the one that follows, see clunk.core.regimes
         ("side", np.int64),  # the flank concerned: sign of q on it; at the load step the first lash's, 0 if it is open
         ("lash", np.int64),  # the lash concerned, or -1
+        ("primary", np.int64),  # whether it is a primary impact, see clunk.core.sequence
     ],
     align=True,
 )

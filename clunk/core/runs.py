@@ -7,6 +7,7 @@ import numpy as np
 from clunk.core.arrays import FloatArray, Records
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, gap_input, lashes_of, roll
+from clunk.core.sequence import take_event
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 # Columns of a load's pieces: from BEGIN [s after the load step] until the next piece begins, the torque is
@@ -30,9 +31,10 @@ class Log(NamedTuple):
     """Buffers for a run's events, of which event 0 is the load step, and for what goes with each; L lashes."""
 
     events: Records  # (capacity,) EVENT
-    # (capacity, L, 2)  largest and smallest acceleration, up to the end of the phase that follows, of the window that
-    # the last touch opened, or an earlier one; nothing that is finite before the first primary impact  [rad/s2]
+    # (capacity, L, 2)  largest and smallest acceleration of the window that the last primary impact opened, up to the
+    # end of the phase that follows; before the first one inf and -inf, beyond which nothing is  [rad/s2]
     extremes: FloatArray
+    courses: Records  # (L,) sequence.COURSE
     margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.margins; NaN by rk4
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
 
@@ -107,7 +109,7 @@ def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> N
 
 @inlined_part
 def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, lash: int, side: int) -> None:
-    """Write event `k`, and the state at it; the extremes of the phase that it opens are still to come."""
+    """Write event `k`, and the state at it; the phase that it opens is still to come."""
     event = log.events[k]
     event.time = at.time
     event.speed = speed
@@ -115,11 +117,25 @@ def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, l
     event.regime = regime
     event.lash = lash
     event.side = side
-    for j in range(log.extremes.shape[1]):
-        log.extremes[k, j, 0], log.extremes[k, j, 1] = -np.inf, np.inf
+    event.primary = int(lash >= 0 and take_event(log.courses[lash], event, at.system.sticking_time[lash]))
+    begin_windows(log, k)
     if log.states.shape[0] > k:
         for j in range(at.x.size):
             log.states[k, j] = at.x[j]
+
+
+@part
+def begin_windows(log: Log, k: int) -> None:
+    """Set the extremes beside event `k` to what they are before the phase that it opens."""
+    event = log.events[k]
+    for lash in range(log.courses.size):
+        window = log.extremes[k, lash]
+        if k == 0:
+            window[0], window[1] = np.inf, -np.inf
+        elif event.primary != 0 and event.lash == lash:  # its window is empty: anything counts
+            window[0], window[1] = -np.inf, np.inf
+        else:
+            window[0], window[1] = log.extremes[k - 1, lash, 0], log.extremes[k - 1, lash, 1]
 
 
 @part

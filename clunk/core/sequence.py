@@ -8,15 +8,24 @@ lock, and its sticking time is zero: the locked state is sticking.
 
 from collections.abc import Iterable
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
-from clunk.core.arrays import IntArray, Records
 from clunk.core.events import LOCK, SEPARATION, TOUCH
-from clunk.core.jit import compiled, inlined_part
+from clunk.core.jit import inlined_part
 
 INITIAL = -1
 OPPOSITE = 1
+
+COURSE = np.dtype(  # what the flanks of one lash have done so far in a run
+    [
+        ("last_side", np.int64),  # the flank of the last touch, at first the preloaded one (0: none)
+        ("from_sticking", np.int64),  # whether they have separated from sticking since
+        ("contact_began", np.float64),  # s, of the last contact; -inf of the preloaded one
+    ],
+    align=True,
+)
 
 
 @inlined_part
@@ -31,47 +40,21 @@ def is_sticking(lasted: float, sticking_time: float) -> bool:
     return lasted > sticking_time
 
 
-@compiled
-def find_primaries(
-    events: Records,
-    count: int,
-    lash: int,
-    initial_side: int,
-    sticking_time: float,
-    primaries: IntArray,
-) -> int:
-    """Write the indices of a lash's primary impacts among `events[:count]` to `primaries`; return how many there are.
+@inlined_part
+def take_event(course: Any, event: Any, sticking_time: float) -> bool:
+    """Take an event of a lash into its COURSE; return whether it is a primary impact.
 
-    Parameters
-    ----------
-    events : (capacity,) EVENT
-        In order of time; event 0 is the load step.
-    initial_side : int
-        The lash's preloaded flank (0: none).
     sticking_time : float  [s]
-    primaries : (capacity,) int64
-        Output.
     """
-    last_side = initial_side
-    episode_began = -np.inf  # the preloaded contact has lasted for ever
-    from_sticking = False
-    impacts = 0
-    for k in range(1, count):
-        event = events[k]
-        if event.lash != lash:
-            continue
-        if event.kind == TOUCH:
-            if is_primary(event.side, last_side, from_sticking):
-                primaries[impacts] = k
-                impacts += 1
-            last_side = event.side
-            episode_began = event.time
-            from_sticking = False
-        elif event.kind == LOCK:
-            episode_began = event.time
-        elif event.kind == SEPARATION:
-            from_sticking = is_sticking(event.time - episode_began, sticking_time)
-    return impacts
+    primary = False
+    if event.kind == TOUCH:
+        primary = is_primary(event.side, course.last_side, course.from_sticking != 0)
+        course.last_side, course.contact_began, course.from_sticking = event.side, event.time, 0
+    elif event.kind == LOCK:
+        course.contact_began = event.time
+    elif event.kind == SEPARATION:
+        course.from_sticking = int(is_sticking(event.time - course.contact_began, sticking_time))
+    return primary
 
 
 def label(flanks: Iterable[int]) -> str:

@@ -1,12 +1,14 @@
 """How hard the primary impacts are: the peak-to-peak acceleration after each, and the speed before it.
 
 Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3; V = sqrt(sum v_i²), v_i = |q'| just before.
+The window of a primary impact runs from its touch, right limit included, up to the next primary or the end of the run,
+gap phases included, with the one-sided limits at every event.
 """
 
 import numpy as np
 
 from clunk.core.arrays import FloatArray
-from clunk.core.jit import compiled, part
+from clunk.core.jit import compiled
 
 
 @compiled
@@ -16,19 +18,3 @@ def root_of_squares(values: FloatArray, count: int) -> float:
     for i in range(count):
         total += values[i] ** 2
     return float(np.sqrt(total))
-
-
-@part
-def window_extremes(extremes: FloatArray, begin: int, end: int) -> tuple[float, float]:
-    """The largest and the smallest acceleration over the phases behind the events from one to before another  [rad/s2].
-
-    The window of a primary impact runs from its touch, right limit included, up to the next primary or the end of the
-    run, gap phases included, with the one-sided limits at every event.
-
-    extremes : (capacity, 2) float64, largest and smallest acceleration of the phase behind each event
-    """
-    largest, smallest = -np.inf, np.inf
-    for k in range(begin, end):
-        largest = max(largest, extremes[k, 0])
-        smallest = min(smallest, extremes[k, 1])
-    return largest, smallest

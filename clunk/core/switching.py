@@ -130,12 +130,15 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
     piece : the one that the load begins with
     inputs : output; what is no torque, gap or twist of a friction is 1 already
     """
-    load, side = start.loads[start.load], system.contacts[start.regime, 0].side
+    load, contacts = start.loads[start.load], system.contacts[start.regime]
+    for lash in range(lashes_of(system)):
+        course = log.courses[lash]
+        course.last_side, course.contact_began, course.from_sticking = contacts[lash].side, -np.inf, 0
     set_gaps(system, start.before, inputs)
     rubbing.stick_all(system, start.x, inputs)
     begin_wave(system, load, piece, start.x)
     set_torque(system, load, piece, 0.0, inputs)
-    record(Moment(system, 0.0, start.x, inputs), log, 0, 0.0, LOAD_STEP, start.regime, -1, side)
+    record(Moment(system, 0.0, start.x, inputs), log, 0, 0.0, LOAD_STEP, start.regime, -1, contacts[0].side)
     return turn_back(system, start.x)
 
 

@@ -27,8 +27,7 @@ from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Room, make_room
 from clunk.core.runs import Log, Outcome, Start
-from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
-from clunk.core.severity import window_extremes
+from clunk.core.sequence import COURSE, INITIAL, OPPOSITE
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
 
 _OK = int(Status.OK)
@@ -37,7 +36,7 @@ _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 LONGEST_PATTERN = 62
 EVENTS = 2048  # of a run, that there is room for at first; a run that finds too little is run again,
 MORE = 64  # with so many times as much
-_EVENT_MEMORY = 2_000_000  # events that there is room for at a time: 96 MB, and 32 MB for each lash, if all happen
+_EVENT_MEMORY = 2_000_000  # events that there is room for at a time: 112 MB, and 32 MB for each lash, if all happen
 
 CELL = np.dtype(
     [
@@ -98,13 +97,6 @@ class Output(NamedTuple):
     ends: FloatArray = np.zeros(0)  # (cells or 0,)  s after the load step
 
 
-class _Scratch(NamedTuple):
-    """Room for a run's state, and for the events of the primary impacts of a lash in it."""
-
-    x: FloatArray  # (N,)  [rad, rad/s]
-    primaries: IntArray
-
-
 class Batch(NamedTuple):
     """Drivelines that differ in `regimes.VARYING` only: for rk4 one, else any number D of them.
 
@@ -157,14 +149,18 @@ def run_tile(
     system, tables = batch.system, batch.tables
     size, cells = system.lashes.shape[1], len(output.cells)
     capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (max_events + 1, 0)
-    scratch = _Scratch(np.empty(size), np.empty(max_events + 1, np.int64))
+    x = np.empty(size)
     if not isinstance(tables, Flows):
         lashes = len(system.lashes)
         log = Log(
-            np.empty(capacity, EVENT), np.empty((capacity, lashes, 2)), np.empty(lashes), np.empty((states, size))
+            np.empty(capacity, EVENT),
+            np.empty((capacity, lashes, 2)),
+            np.empty(lashes, COURSE),
+            np.empty(lashes),
+            np.empty((states, size)),
         )
-        room = make_room(system, tables, capacity)
-        return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, scratch, stop)
+        room = make_room(system, tables)
+        return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, x, stop)
     # of several lashes there are more queues: enough runs that each may have as many as there are lanes
     several = len(system.regime_strides) > 2
     under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables)) if several else UNDER_WAY
@@ -172,7 +168,7 @@ def run_tile(
     space = make_workspace(batch.systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)
     begins, impacts = np.full(cells - first, -1), output.impacts
-    done: int = by_exact(space, undecided, cases, first, max_events, output, scratch, free, begins, stop)
+    done: int = by_exact(space, undecided, cases, first, max_events, output, x, free, begins, stop)
     # runs were over in any order: put their impacts in that of the cells
     counts = output.cells["primary_impacts"][first:done].sum(axis=1, dtype=np.int64)
     behind = np.cumsum(counts)
@@ -192,13 +188,12 @@ def by_rk4(
     output: Output,
     log: Log,
     room: Room,
-    scratch: _Scratch,
+    x: FloatArray,
     stop: StopFlag,
 ) -> tuple[int, int]:
     """`run_tile` by RK4: one run after the other."""
     system, steps, cases, output = refer(system), refer(steps), refer(cases), refer(output)
-    log, room, scratch = refer(log), refer(room), refer(scratch)
-    cells, x, written = output.cells, scratch.x, 0
+    log, room, cells, written = refer(log), refer(room), output.cells, 0
     for k in range(first, cells.shape[0]):
         if stop[0] != 0 or written + max_events > output.impacts.size:
             return k, written
@@ -209,7 +204,7 @@ def by_rk4(
         outcome = rk4.run(system, steps, start, log, room, stop)
         if outcome.status == INTERRUPTED:
             return k, written
-        written += _finish(system, undecided, outcome, log, max_events, output, k, scratch, written)
+        written += _finish(system, undecided, outcome, log, max_events, output, k, written)
     return cells.shape[0], written
 
 
@@ -221,7 +216,7 @@ def by_exact(
     first: int,
     max_events: int,
     output: Output,
-    scratch: _Scratch,
+    x: FloatArray,
     free: IntArray,
     begins: IntArray,
     stop: StopFlag,
@@ -230,13 +225,15 @@ def by_exact(
 
     Parameters
     ----------
+    x : (N,) float64
+        Scratch, for a state.
     free : (S,) int64
         The places of the workspace that no run is in: all of them.
     begins : (cells,) int64
         Output, where the impacts of each cell from `first` on begin; -1 until the cell is done.
     """
-    space, cases, output, scratch = refer(space), refer(cases), refer(output), refer(scratch)
-    cells, x, pool, over = output.cells, scratch.x, space.pool, space.queues.over
+    space, cases, output = refer(space), refer(cases), refer(output)
+    cells, pool, over = output.cells, space.pool, space.queues.over
     slots = spare = free.size
     admitted, oldest, written, full = first, first, 0, False
     while True:
@@ -266,7 +263,7 @@ def by_exact(
             log = log_of(space, slot)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
             of_run = system_of(space, slot)
-            primaries = _finish(of_run, undecided, outcome, log, max_events, output, k, scratch, written)
+            primaries = _finish(of_run, undecided, outcome, log, max_events, output, k, written)
             # Room stays free for the oldest, so that every call returns one cell at least. Cells behind one that is not
             # done are run again by the next call.
             if written + primaries + (0 if k == oldest else max_events) > output.impacts.size:
@@ -309,7 +306,6 @@ def _finish(
     max_events: int,
     output: Output,
     k: int,
-    scratch: _Scratch,
     first: int,
 ) -> int:
     """Write the results of a run to cell k, and its primary impacts from `first` on; return how many they are.
@@ -335,34 +331,35 @@ def _finish(
     if status != _OK:
         return 0
     for lash in range(lashes_of(system)):
-        cell, events, primaries = cells[lash], log.events, scratch.primaries
+        cell, events, severities, speeds = cells[lash], log.events, 0.0, 0.0  # sums of squares
         cell.margin = log.margins[lash]
         cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)
-        side, sticking_time = int(cell.initial_side), system.sticking_time[lash]
-        count = find_primaries(events, outcome.written, lash, side, sticking_time, primaries)
-        cell.pattern = np.uint64(1) if count <= LONGEST_PATTERN else np.uint64(0)
-        cell.primary_impacts = count
+        side, count, pattern = cell.initial_side, 0, np.uint64(1)
         for i in range(1, outcome.written):
-            if events[i].lash == lash:
-                cell.last_event_time = events[i].time
-                if events[i].kind == TOUCH:
-                    cell.touches += 1
-        severities, speeds = 0.0, 0.0  # sums of squares
-        for i in range(count):
-            event, end = events[primaries[i]], primaries[i + 1] if i + 1 < count else outcome.written
-            if count <= LONGEST_PATTERN:
-                cell.pattern = np.uint64(2) * cell.pattern + np.uint64(event.side != side)
-            largest, smallest = window_extremes(log.extremes[:, lash], primaries[i], end)
+            event = events[i]
+            if event.lash != lash:
+                continue
+            cell.last_event_time = event.time
+            cell.touches += event.kind == TOUCH
+            if event.primary == 0:
+                continue
+            end = i + 1
+            while end < outcome.written and not (events[end].lash == lash and events[end].primary != 0):
+                end += 1
+            pattern = np.uint64(2) * pattern + np.uint64(event.side != side)
             # the acceleration of an impulsive touch is not a number
-            severity = largest - smallest if system.impulsive == 0 else np.nan
+            severity = log.extremes[end - 1, lash, 0] - log.extremes[end - 1, lash, 1]
+            severity = severity if system.impulsive == 0 else np.nan
             severities, speeds = severities + severity**2, speeds + event.speed**2
-            if first + total + i < impacts.size:
-                impact = impacts[first + total + i]
+            if first + total < impacts.size:
+                impact = impacts[first + total]
                 impact.time = event.time
                 impact.closing_speed = abs(event.speed)
                 impact.severity = severity
                 impact.flank = INITIAL if event.side == side else OPPOSITE
+            count, total = count + 1, total + 1
+        cell.pattern = pattern if count <= LONGEST_PATTERN else np.uint64(0)
+        cell.primary_impacts = count
         cell.severity = np.sqrt(severities) if system.impulsive == 0 else np.nan
         cell.approach_velocity = np.sqrt(speeds)
-        total += count
     return total

@@ -9,7 +9,7 @@ import numpy as np
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, STAGE, TOUCH
 from clunk.core.exact.margins import MOST
-from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
+from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.simulation import driveline
@@ -232,10 +232,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
     states = output.states[0, : len(phases), : 2 * system.inertias].copy()
     events, begins, (high, low) = phases[is_event], np.flatnonzero(is_event), output.extremes[0, : len(phases)].T
     extremes = np.stack([np.maximum.reduceat(high, begins, 1), np.minimum.reduceat(low, begins, 1)]).T
-    cells, primaries_of, primaries = output.cells[0], [], np.zeros(len(events), np.int64)
-    for lash, (cell, sticking_time) in enumerate(zip(cells, system.sticking_time.tolist(), strict=True)):
-        impacts = find_primaries(events, len(events), lash, int(cell["initial_side"]), sticking_time, primaries)
-        primaries_of.append(primaries[:impacts].copy())
+    cells, primary = output.cells[0], events["primary"] != 0
     severities = output.impacts["severity"][:found].copy()
     return Trajectory(
         study=study,
@@ -245,7 +242,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
         extremes=extremes,
         phases=phases,
         phase_states=states,
-        primaries_of=tuple(primaries_of),
+        primaries_of=tuple(np.flatnonzero(primary & (events["lash"] == lash)) for lash in range(lashes)),
         severities_of=tuple(np.split(severities, np.cumsum(cells["primary_impacts"])[:-1])),
         margins=cells["margin"].copy(),
         complete=bool(cells["quality"][0] & QUALITY_COMPLETE),

@@ -33,7 +33,7 @@ import numpy as np
 
 import clunk
 from clunk.core.events import EVENT
-from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
+from clunk.core.sequence import COURSE, INITIAL, OPPOSITE, label, take_event
 from clunk.simulation.driveline import Driveline
 from clunk.study.study import replace_values
 from clunk.sweeping import cells, sweep as sweeping
@@ -205,9 +205,9 @@ def label_of(run: np.ndarray, initial_side: int, sticking_time: float) -> str:
     events = np.zeros(len(run) + 1, EVENT)
     events["side"][0] = initial_side
     events["time"][1:], events["kind"][1:], events["side"][1:] = run[:, 0], np.abs(run[:, 1]), np.sign(run[:, 1])
-    primaries = np.zeros(len(run) + 1, np.int64)
-    found = find_primaries(events, len(events), 0, initial_side, sticking_time, primaries)
-    return label(np.where(events["side"][primaries[:found]] == initial_side, INITIAL, OPPOSITE))
+    course = np.array([(initial_side, 0, -np.inf)], COURSE).view(np.recarray)[0]
+    primaries = [take_event(course, event, sticking_time) for event in events.view(np.recarray)]
+    return label(np.where(events["side"][primaries] == initial_side, INITIAL, OPPOSITE))
 
 
 def compare(row: Row, cells: np.ndarray, runs: list[np.ndarray], labels: list[str], expected: Expected) -> None:

@@ -55,7 +55,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
             static = side * holding_torque(Moment(system, 0.0, x, inputs), regime, lash)[0]
         else:
             static = _overlap(system, lash, side, x, inputs)
-        space.courses[slot, lash].static = max(static, 0.0) if status == _OK else 0.0
+        space.static[slot, lash] = max(static, 0.0) if status == _OK else 0.0
     inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
 
 
@@ -80,7 +80,7 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
         _take(own, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
     elif is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
-        _take(own, max(_overlap(system, lash, guard.side, at.x, at.inputs), 0.0) / course.static)
+        _take(own, max(_overlap(system, lash, guard.side, at.x, at.inputs), 0.0) / space.static[slot, lash])
 
 
 @inlined_part

@@ -12,7 +12,6 @@ so are the near misses that make the run's margin, see `margins`.
 import numpy as np
 
 from clunk.core.arrays import FloatArray, StopFlag
-from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.core.exact import functionals, moving, rows
 from clunk.core.exact.margins import MOST, note_holding, set_static, take_margin_of_event, take_margins_of_load
 from clunk.core.exact.search import search
@@ -22,8 +21,17 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import frictions_of, gap_input, inputs_of, lashes_of
-from clunk.core.runs import Entry, Moment, Start, begin_wave, end_of_piece, piece_at, roll_states, set_torque
-from clunk.core.sequence import is_primary, is_sticking
+from clunk.core.runs import (
+    Entry,
+    Moment,
+    Start,
+    begin_wave,
+    begin_windows,
+    end_of_piece,
+    piece_at,
+    roll_states,
+    set_torque,
+)
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, set_weighed, switch, weigh
 
@@ -40,13 +48,9 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(lashes_of(system)):
-        course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
-        course.last_side = system.contacts[start.regime, lash].side
-        course.contact_began, course.from_sticking = -np.inf, 0
         space.fastest[slot, lash] = 0.0
-        own[rows.MARGIN] = MOST
-        # no acceleration counts before the first primary impact
-        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = np.inf, -np.inf
+        space.numbers[slot, lash_at(space, lash) + rows.MARGIN] = MOST
+    _take_events(space, slot, 0, 1)
     set_static(space, slot, start)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
@@ -69,11 +73,10 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     numbers[limit + rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     if frictions_of(system) > 0:
         row.count = entry.written
+        _close_phase(space, slot)
         entry = recheck_frictions(Moment(system, time, x, inputs), log_of(space, slot), entry)
         regime = entry.regime
-        if entry.written > row.count:
-            _close_phase(space, slot)
-            _take_events(space, slot, row.count, entry.written)
+        _take_events(space, slot, row.count, entry.written)
     row.time, row.count, row.regime = time, entry.written, regime
     for k in range(x.size):
         space.numbers[slot, k] = x[k]  # a state for now; `moving.to_coordinates` makes coordinates of it
@@ -86,11 +89,10 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own = space.numbers[slot, lash_at(space, lash) :]
         held_from = course.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
-        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * course.static
+        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * space.static[slot, lash]
         own[rows.HELD_FROM] = held_from if contact.closed != 0 else -np.inf
         own[rows.SIDE] = -1.0 if mirrored else 1.0
         own[rows.SCALE] = scale
-        course.window_max, course.window_min = own[rows.WINDOW_MAX], own[rows.WINDOW_MIN]
     for n in range(entered.watched):
         shift = weigh(system.offsets[regime, n], inputs)
         numbers[rows.shift(n, lashes_of(system))] = shift
@@ -184,15 +186,11 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
     """Switch by the guard that turned negative; take what that says of the run's margin and its windows."""
     row, log = space.runs[slot], log_of(space, slot)
     take_margin_of_event(space, slot, at)
+    _close_phase(space, slot)
     if is_instant(at, log, row.count):
-        for lash in range(lashes_of(at.system)):
-            course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
-            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = course.window_max, course.window_min
+        begin_windows(log, row.count - 1)
     entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
-    if entry.written == row.count:  # a stage that is not written: the phase goes on
-        row.stages += 1
-    else:
-        _close_phase(space, slot)
+    row.stages += entry.written == row.count  # one that is not written: the phase goes on
     _take_events(space, slot, row.count, entry.written)
     return entry
 
@@ -210,7 +208,7 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
 
 @inlined_part
 def _close_phase(space: Workspace, slot: int) -> None:
-    """Write the extremes of the accelerations in the windows so far to the event that began a run's phase."""
+    """Write the extremes of the accelerations in the windows so far beside the event that began a run's phase."""
     last = space.runs[slot].count - 1
     for lash in range(lashes_of(space.system)):
         own = space.numbers[slot, lash_at(space, lash) :]
@@ -220,22 +218,12 @@ def _close_phase(space: Workspace, slot: int) -> None:
 
 @inlined_part
 def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
-    """Take what events from the first up to those written say of their lashes' contacts and windows."""
-    system, log = system_of(space, slot), log_of(space, slot)
-    roll_states(system, space.runs[slot].rolled, log, first, written)
-    for k in range(first, written):
-        event = log.events[k]
-        if event.lash < 0:
-            continue
-        lash = event.lash
-        course = space.courses[slot, lash]
-        if event.kind == TOUCH:
-            if is_primary(event.side, course.last_side, course.from_sticking != 0):
-                # its window is empty: anything counts
-                own = space.numbers[slot, lash_at(space, lash) :]
-                own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = -np.inf, np.inf
-            course.last_side, course.contact_began, course.from_sticking = event.side, event.time, 0
-        elif event.kind == LOCK:
-            course.contact_began = event.time
-        elif event.kind == SEPARATION:
-            course.from_sticking = int(is_sticking(event.time - course.contact_began, system.sticking_time[lash]))
+    """Begin a run's phase behind events that were written, from the first on: with the windows that these left."""
+    log = log_of(space, slot)
+    roll_states(system_of(space, slot), space.runs[slot].rolled, log, first, written)
+    for lash in range(lashes_of(space.system)):
+        own = space.numbers[slot, lash_at(space, lash) :]
+        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = (
+            log.extremes[written - 1, lash, 0],
+            log.extremes[written - 1, lash, 1],
+        )

@@ -18,6 +18,7 @@ from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.references import reference_at, rows_of
 from clunk.core.regimes import System, driveline_at
 from clunk.core.runs import Log
+from clunk.core.sequence import COURSE
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
@@ -39,18 +40,6 @@ RUN = np.dtype(
         ("guard", np.int64),  # the one that ended it, by an event
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
         ("rolled", np.float64),  # rad, by the first inertia that rolls; the angles of the run are less that
-    ],
-    align=True,
-)
-
-COURSE = np.dtype(  # what the flanks of one lash have done so far in a run
-    [
-        ("last_side", np.int64),
-        ("from_sticking", np.int64),
-        ("contact_began", np.float64),  # s, of the last contact
-        ("static", np.float64),  # what is at rest: overlap, rad, or locking torque
-        ("window_max", np.float64),  # rad/s2, extremes of the acceleration in the window before the phase
-        ("window_min", np.float64),
     ],
     align=True,
 )
@@ -85,7 +74,8 @@ class Workspace(NamedTuple):
     behind: int  # C, where the numbers that `rows` names begin in a row
     inputs_at: int  # and where u does, what the run's regime makes of its inputs
     runs: Records  # (S + 1,) RUN
-    courses: Records  # (S + 1, L) COURSE
+    courses: Records  # (S, L) sequence.COURSE
+    static: FloatArray  # (S, L)  of each lash, what is at rest: overlap, rad, or locking torque
     fastest: FloatArray  # (S, L)  rad/s, of the touches of each lash so far
     loads: FloatArray  # (loads, P, PIECE)
     inputs: FloatArray  # (S, I)  d of each run, when its phase or its load's piece began
@@ -155,7 +145,8 @@ def make_workspace(
         behind=size,
         inputs_at=inputs_at,
         runs=np.zeros(slots + 1, RUN),
-        courses=np.zeros((slots + 1, lashes), COURSE),
+        courses=np.zeros((slots, lashes), COURSE),
+        static=np.zeros((slots, lashes)),
         fastest=np.zeros((slots, lashes)),
         loads=loads,
         inputs=np.ones((slots, driven)),
@@ -242,4 +233,4 @@ def lash_at(space: Workspace, lash: int) -> int:
 @inlined_part
 def log_of(space: Workspace, slot: int) -> Log:
     """The events of a run, and its states."""
-    return Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
+    return Log(space.events[slot], space.extremes[slot], space.courses[slot], space.margins[slot], space.states[slot])

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.core.arrays import FloatArray, StopFlag
-from clunk.core.events import TOUCH
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, frictions_of, lashes_of, turn_back
 from clunk.core.rk4 import quartic
@@ -28,13 +27,12 @@ from clunk.core.runs import (
     Outcome,
     Start,
     begin_wave,
+    begin_windows,
     end_of_piece,
     piece_at,
     roll_states,
     set_torque,
 )
-from clunk.core.sequence import find_primaries
-from clunk.core.severity import window_extremes
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch, weigh
 from clunk.core.tables import ACCELERATION
@@ -86,15 +84,12 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     piece, written = piece_at(load, 0, 0.0), entry.written
     rolled = begin_run(system, start, piece, inputs, log)
-    # nothing is asked of the acceleration before a touch
-    log.extremes[0, :, 0], log.extremes[0, :, 1] = np.inf, -np.inf
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         time = begin + index * grid.step + offset
         entry = recheck_frictions(Moment(system, time, x, inputs), log, entry)
         roll_states(system, rolled, log, written, entry.written)
-        _carry_extremes(log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)
         _combine(steps.transfer_input[flow], room.weighed, room.affine)
@@ -132,7 +127,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 if stop[0] != 0:
                     return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
-                    over = _is_settled(system, steps, entry.regime, start.regime, room, log, entry.written)
+                    over = _is_settled(system, steps, entry.regime, room, extremes)
             for k in range(x.size):
                 x[k] = room.z[k]
             if over:
@@ -158,39 +153,21 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         if not may_switch(at, log, written, stages):
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if is_instant(at, log, written):
-            extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
+            begin_windows(log, written - 1)
         entry = switch(at, log, entry.regime, guard, written, room.fastest)
         stages += entry.written == written
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
 
 
-@inlined_part
-def _carry_extremes(log: Log, first: int, written: int) -> None:
-    """Begin the phases of events that are no touch of a lash with its extremes so far: its window goes on in them."""
-    for k in range(first, written):
-        for lash in range(log.extremes.shape[1]):
-            if log.events[k].kind != TOUCH or log.events[k].lash != lash:
-                for end in range(2):
-                    log.extremes[k, lash, end] = log.extremes[k - 1, lash, end]
-
-
 @part
-def _is_settled(
-    system: System,
-    steps: Steps,
-    regime: int,
-    first_regime: int,
-    room: Room,
-    log: Log,
-    count: int,
-) -> bool:
-    """Whether no event follows, and no acceleration beyond the extremes of the open windows.
+def _is_settled(system: System, steps: Steps, regime: int, room: Room, extremes: FloatArray) -> bool:
+    """Whether no event follows, and no acceleration beyond the extremes of the open windows, (L, 2).
 
     Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever. That
-    is proved for whole steps, and within them looked at in eight places. The first regime tells the initial flanks.
+    is proved for whole steps, and within them looked at in eight places.
     """
-    flow, reach, primaries = system.regimes[regime].flow, room.reach, room.primaries
+    flow, reach = system.regimes[regime].flow, room.reach
     if steps.settles[flow] == 0:
         return False
     reach[:] = 0.0
@@ -200,18 +177,12 @@ def _is_settled(
         at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed)
         if not at_rest + room.shift[guard] > (1.0 + 1e-9) * reach[functional]:
             return False
-    if system.impulsive != 0:  # nothing is asked of the acceleration
-        return True
-    for lash in range(lashes_of(system)):
-        side = system.contacts[first_regime, lash].side
-        impacts = find_primaries(log.events, count, lash, side, system.sticking_time[lash], primaries)
-        if impacts > 0:  # else nothing is asked of the acceleration either
-            largest, smallest = window_extremes(log.extremes[:, lash], primaries[impacts - 1], count)
-            acceleration = lash * system.functionals_per_lash + ACCELERATION
-            at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed)
-            swing = (1.0 + 1e-9) * reach[acceleration]
-            if not (largest >= at_rest + swing and smallest <= at_rest - swing):
-                return False
+    for lash in range(lashes_of(system) if system.impulsive == 0 else 0):  # else nothing is asked of the acceleration
+        acceleration = lash * system.functionals_per_lash + ACCELERATION
+        at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed)
+        swing = (1.0 + 1e-9) * reach[acceleration]
+        if not (extremes[lash, 0] >= at_rest + swing and extremes[lash, 1] <= at_rest - swing):
+            return False
     return True
 
 

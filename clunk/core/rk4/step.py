@@ -39,11 +39,10 @@ class Room(NamedTuple):
     # scratch of what bounds all that follows
     modes: FloatArray  # (2 M,)  modal coordinates
     reach: FloatArray  # (F,)
-    primaries: IntArray  # (capacity,)
 
 
-def make_room(system: System, steps: Steps, capacity: int) -> Room:
-    """Room for runs of up to `capacity` events."""
+def make_room(system: System, steps: Steps) -> Room:
+    """Room for runs, one after the other."""
     width, of_block, of_modes = steps.transfer.shape[2], steps.block.shape[2], steps.mode_rows.shape[2]
     most, driven = system.guards.shape[1], system.weights.shape[1]
     return Room(
@@ -63,7 +62,6 @@ def make_room(system: System, steps: Steps, capacity: int) -> Room:
         after=np.zeros(of_block),
         modes=np.empty(of_modes),
         reach=np.empty(system.functionals.shape[1]),
-        primaries=np.empty(capacity, np.int64),
     )
 
 
