@@ -31,8 +31,7 @@ _SENTENCES = {
         "raise solver.max_events, or shorten solver.end_time"
     ),
     Status.UNSTABLE_STEP: (
-        "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode; a load that lags or "
-        "swings still faster counts, too)"
+        "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode; a load may be faster)"
     ),
 }
 

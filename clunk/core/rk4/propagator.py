@@ -53,9 +53,8 @@ def build_steps(system: System, flows: Flows, step: float) -> tuple[System, Step
     flows : of the driveline, whose modes tell what can follow; of a load with ramps, without these
     """
     stable, *bounds = _bounds(system, flows, step)
-    # no run takes an unstable step, and of 64 of these the tables may overflow
-    allowed = step if stable else 0.0
-    propagator = _propagator(system.rates, system.inputs, system.functionals, system.feedthrough, allowed)
+    # of 64 unstable steps, which no run takes, the tables may overflow: they are those of no step
+    propagator = _propagator(system.rates, system.inputs, system.functionals, system.feedthrough, step * stable)
     if not stable:
         system = system._replace(status=int(Status.UNSTABLE_STEP))
     return system, Steps(step, *propagator, *bounds)
