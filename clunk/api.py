@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
@@ -19,6 +18,7 @@ from clunk.results import files
 from clunk.results.maps import AnyMap, Results, ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
+from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.models import lash_position
 from clunk.study.study import Study
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 def sweep(
     study: Study,
-    output: str | os.PathLike[str] | None = None,
+    output: FilePath | None = None,
     *,
     progress: bool | Progress = False,
     workers: int | None = None,
@@ -117,7 +117,7 @@ def sweep(
 
 def tolerance_map(
     study: Study,
-    output: str | os.PathLike[str] | None = None,
+    output: FilePath | None = None,
     *,
     progress: bool | Progress = False,
     workers: int | None = None,
@@ -265,7 +265,7 @@ def draw(
 
 def _run(
     study: Study,
-    output: str | os.PathLike[str] | None,
+    output: FilePath | None,
     progress: bool | Progress,
     engine: AbstractContextManager[Executor],
     *,
@@ -275,11 +275,10 @@ def _run(
 ) -> AnyMap:
     """The map of a study's sweep, or the one that its file already has; addition : adds to it when it is finished."""
     path = None if output is None else Path(output)
-    if path is not None:
-        files.check(path, files.RESULTS)
+    files.check(path, files.RESULTS)
     with sweeping.opened(path, study, restart=restart, force=force) as job:
         result = job.held
         if result is None:
-            with engine as executor, reporting(progress, sweeping.cell_count(study), study) as report:
-                result = job.run(executor, progress=report)
+            with engine as executor:
+                result = job.run(executor, progress=progress)
         return job.finish(result, addition)

@@ -14,9 +14,10 @@ from clunk.analysis.comparison import compare
 from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
+from clunk.study.designs import design_of
 from clunk.study.records import plain, text_of
 from clunk.study.study import replace_values
-from clunk.sweeping.sweep import cell_count, sweep
+from clunk.sweeping.sweep import sweep
 
 ZIP = f'{EXACT}[sweep]\ndesign = "zip"\n{values("load.ratio", [1, 2, 5, 5, 8])}{axis("lash.backlash_deg", 1, 9, 5)}'
 ZIP += values("driveline.inertias[4]", [0.003, 0.002, 0.001, 0.002, 0.001])
@@ -64,7 +65,7 @@ class TestCells:
     def test_each_is_the_single_run_of_its_parameters(self, text):
         study = study_from_text(text)
         results = sweep(study)
-        assert results.shape == (cell_count(study),)
+        assert results.shape == (design_of(study).cells,)
         assert [axis.parameter for axis in results.axes] == [RUN]
         for k in range(*results.shape):
             values = {axis.parameter: float(axis.values[k]) for axis in results.coordinates}

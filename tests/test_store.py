@@ -335,6 +335,14 @@ BROKEN = {
         changed(lambda file: file.attrs.__setitem__("schema_version", np.int32(7)), checksum=True),
         "has schema version 7, and this clunk reads",
     ),
+    "without a variable": (
+        changed(lambda file: file.__delitem__("margin"), checksum=True),
+        "lacks what this clunk reads",
+    ),
+    "without its schema": (
+        changed(lambda file: file.attrs.__delitem__("schema_version"), checksum=True),
+        "lacks what this clunk reads (schema_version)",
+    ),
     "foreign": (changed(lambda file: file.clear()), "another program has made or changed it"),
     "changed": (changed(lambda file: file["severity"].__setitem__((1, 1), -1.0)), "has made or changed it"),
     "truncated": (cut(4000), "it was cut"),

@@ -4,8 +4,6 @@ Lines are traced (`clunk.analysis.lines`), linked to curves and closed to region
 curve gets its event (`events_between`).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

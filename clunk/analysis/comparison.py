@@ -6,8 +6,6 @@ model; and it knows how near each run came to another label. So labels may diffe
 grazing ones; where they differ elsewhere, the step is too coarse.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,8 +27,8 @@ from clunk.study.errors import ClunkError
 from clunk.study.records import SENTENCE, Record, counted, percent, tells, told
 from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Sweep
-from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.sweep import sweep
 
 Method = Literal["rk4", "exact"]
 
@@ -245,11 +243,7 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
         parameter = dotted((*study.lash_places[0], "backlash_deg"))
         one = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
         grid = study.model_copy(update={"sweep": Sweep(axes=(one,))})
-    maps = []
-    for each in (with_method(grid, method) for method in METHODS):
-        with reporting(progress, sweeping.cell_count(each), each) as report:
-            maps.append(sweeping.sweep(each, workers=workers, progress=report))
-    return compare(*maps)
+    return compare(*(sweep(with_method(grid, method), workers=workers, progress=progress) for method in METHODS))
 
 
 def with_method(study: Study, method: Method) -> Study:

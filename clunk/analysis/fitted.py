@@ -5,8 +5,6 @@ which the others are predicted. Why a label is missed is told by the two events 
 What a fit makes of its config is a study with the estimate's values.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import zip_longest

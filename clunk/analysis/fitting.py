@@ -14,9 +14,6 @@ little smaller or greater. The least such change, in its logarithm, that brings 
 distance: unlike a run's margin, which says how near *any* other label is, and saturates, it speaks of the measured one.
 """
 
-from __future__ import annotations
-
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from difflib import SequenceMatcher
@@ -32,7 +29,7 @@ from clunk.results.maps import Results
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Positions, Records
 from clunk.study.axes import variable_of
-from clunk.study.document import dotted
+from clunk.study.document import FilePath, dotted
 from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value, spellings, with_draws
@@ -213,7 +210,7 @@ _COUNTING = 50.0  # draws that are to count for the kernels to follow the likeli
 
 def fit(
     study: Study,
-    measurements: str | os.PathLike[str] | Experiment,
+    measurements: FilePath | Experiment,
     *,
     progress: bool | Progress = False,
     workers: int | None = None,

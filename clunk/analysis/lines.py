@@ -11,8 +11,6 @@ edge is split in both of its triangles, two labels in a triangle are parted by o
 meet in a point. Where a line is not located, its place is kept as unresolved.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

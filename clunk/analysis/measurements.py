@@ -1,7 +1,5 @@
 """Measured sequences of impacts: read from CSV files, and compared with a map, label by label and in their trends."""
 
-from __future__ import annotations
-
 import csv
 import math
 import os
@@ -18,7 +16,7 @@ import numpy as np
 from clunk.results.labels import FAILED, double_sided, flanks_of_label, normalised_label
 from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis, variable_of
-from clunk.study.document import read_text
+from clunk.study.document import FilePath, read_text
 from clunk.study.errors import ClunkError, shorten
 from clunk.study.parameters import spellings
 from clunk.study.records import SENTENCE, Record, counted, tells, told
@@ -67,13 +65,13 @@ class Experiment:
 TABLES = {"table_4_1": files(__package__) / "table_4_1.csv"}  # the report's, which come with clunk
 
 
-def is_experiment(path: str | os.PathLike[str]) -> bool:
+def is_experiment(path: FilePath) -> bool:
     """Whether a path names measurements rather than a results file: a .csv, or one of `TABLES`, also misspelt."""
     suffix = Path(path).suffix.lower()
     return suffix == ".csv" or (suffix != ".h5" and not Path(path).exists())
 
 
-def read_experiment(path: str | os.PathLike[str]) -> Experiment:
+def read_experiment(path: FilePath) -> Experiment:
     """Read measurements from a CSV file in UTF-8, or from one of `TABLES` by its name; a file of that name comes first.
 
     The first line that is no comment (#) names the columns: one for each parameter, as in a results file
@@ -89,7 +87,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     return experiment_of(read_text(path, "an experiment", "a CSV file", known), path)
 
 
-def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
+def experiment_of(text: str, path: FilePath) -> Experiment:
     """Measurements of a CSV file's text; path : its name. As `read_experiment` otherwise."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
     comments = [line.strip("# \t\n") for line in lines if line.lstrip().startswith("#")]

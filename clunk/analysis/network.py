@@ -3,16 +3,13 @@
 Positions are on each axis from 0 to 1. A junction is a triple point, or where a curve ends on the frame of the map.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.results.boundaries import NO_LABEL
-from clunk.study.arrays import Codes, Floats
+from clunk.study.arrays import Codes, Floats, LabelCodes
 
 SAME = 1e-6  # of the map: triple points so near to each other are one junction
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -62,7 +59,7 @@ def paths_of(ends: Codes, labels: Codes, position: Callable[[Codes], Floats]) ->
     return paths
 
 
-def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, npt.NDArray[np.int16]]:
+def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
     """Triple points (n, 2) with labels (n, 3), those at the same place as one junction; with all labels of each.
 
     The labels are rows of ascending codes, with `NO_LABEL` behind them.

@@ -6,8 +6,6 @@ best of its half of the points of a space-filling exploration, since the regions
 It ends by construction: generations and starts are counted beforehand.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

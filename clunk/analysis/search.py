@@ -15,8 +15,6 @@ stated beforehand, those are given up as they are. Between two points `_LOOKED` 
 most, look for what is hidden.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor

@@ -16,8 +16,6 @@ changes more often than that, as labels do where touches without end are cut off
 left as wide as they are then: the place is unresolved, and told as such.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -4,8 +4,6 @@ A command's module is imported when it is asked for; what it needs of the librar
 so that `--help` and `--version` wait for neither numba nor matplotlib.
 """
 
-from __future__ import annotations
-
 import atexit
 import gc
 import io

@@ -59,13 +59,10 @@ def fit(
     """
     import clunk
     from clunk.results import files
-    from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
-    if picture is not None:
-        files.check(picture, files.PICTURES)
-    if fitted_config is not None:
-        files.check(fitted_config, (".toml",), reads=config)
+    files.check(picture, files.PICTURES)
+    files.check(fitted_config, (".toml",), reads=config)
     terminal.warn_of_coarse_step(study)
     fitted = clunk.fit(study, measurements, progress=True, **options)
     tables.tell(fitted, as_json)
@@ -73,7 +70,7 @@ def fit(
         terminal.complain(f"warning: {sentence}")
     if fitted_config is not None:
         comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"
-        write_text(fitted_config, comment + to_toml(clunk.fitted_study(fitted)))
+        files.write_text(fitted_config, comment + to_toml(clunk.fitted_study(fitted)))
         terminal.say_written(fitted_config)
     if picture is not None:
         terminal.save_picture(clunk.draw(fitted), picture)
@@ -108,14 +105,12 @@ def optimize(
     """
     from clunk.analysis import optimisation
     from clunk.results import files
-    from clunk.results.files import write_text
     from clunk.simulation.history import sample
     from clunk.simulation.trajectory import simulate
     from clunk.study.study import to_toml
 
-    for path, suffixes in ((output, (".toml",)), (picture, files.PICTURES)):
-        if path is not None:
-            files.check(path, suffixes, reads=config)
+    files.check(output, (".toml",), reads=config)
+    files.check(picture, files.PICTURES, reads=config)
     terminal.warn_of_coarse_step(study)
     options["progress"] = True
     try:
@@ -129,7 +124,7 @@ def optimize(
     for k, best in enumerate(points, 1):
         if output is not None:
             path = output.with_stem(f"{output.stem}-{k}") if traded else output
-            write_text(path, to_toml(best.study))
+            files.write_text(path, to_toml(best.study))
             terminal.say_written(path)
     if picture is not None:
         from clunk.plot import analyses, histories
@@ -183,8 +178,7 @@ def sensitivity(
     from clunk.results import files
     from clunk.study.study import replace_values
 
-    if output is not None:
-        files.check(output, files.PICTURES, reads=config)
+    files.check(output, files.PICTURES, reads=config)
     point = sobol.operating_point(replace_values(study, cell_values(study, at, all_needed=False)))
     terminal.warn(point, "drawn")
     result = sobol.sensitivity(point, of=quantities, progress=True, **options)
@@ -260,7 +254,6 @@ def thresholds(
     from clunk.analysis import thresholds as analysis
     from clunk.analysis.thresholds import check_quantiles, threshold_quantiles
     from clunk.results import files
-    from clunk.results.files import write_text
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
 
     _, axes = analysis.axes_of(study, along)
@@ -273,8 +266,7 @@ def thresholds(
     shares = quantiles or (0.5, 0.95)
     check_quantiles(shares)
     is_picture = output is not None and output.suffix.lower() in files.PICTURES
-    if output is not None:
-        files.check(output, (".csv", ".json", *files.PICTURES), reads=config)
+    files.check(output, (".csv", ".json", *files.PICTURES), reads=config)
     if is_picture:
         from clunk.plot import analyses as plot
 
@@ -299,7 +291,7 @@ def thresholds(
     elif output is not None:
         is_csv = output.suffix.lower() == ".csv"
         text = result.csv() if is_csv else json.dumps(result.rows(), ensure_ascii=False) + "\n"
-        write_text(output, text)
+        files.write_text(output, text)
         terminal.say_written(output)
     if places := located.unresolved:
         cell, begin, end = places[0]

@@ -37,8 +37,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
     from clunk.results import files
     from clunk.results.store import read_results
 
-    if output is not None:
-        files.check(output, files.PICTURES)
+    files.check(output, files.PICTURES)
     results = read_results(a)
     other = None if is_experiment(b) else read_results(b)
     results = results.of_lash() if other is None else results

@@ -54,7 +54,6 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
     from clunk.explorer.subject import of_one_cell
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal
-    from clunk.sweeping.progress import reporting
     from clunk.sweeping.sweep import Job
 
     study = load_study(source, overrides)
@@ -64,6 +63,4 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
     if not (study.swept.axes or study.swept.samples):
         study = of_one_cell(study)
     terminal.warn_of_coarse_step(study)
-    job = Job(study)
-    with reporting(True, job.design.cells, study) as report:
-        return job.run(progress=report)
+    return Job(study).run(progress=True)

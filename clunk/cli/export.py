@@ -1,7 +1,5 @@
 """`clunk export`: a results file in the formats of other programs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

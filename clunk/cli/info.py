@@ -1,7 +1,5 @@
 """`clunk info`: what a results file holds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

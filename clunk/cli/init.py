@@ -1,7 +1,5 @@
 """`clunk init`: write a starter config."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """`clunk plot`: draw the maps of a results file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`clunk report`: one page on a results file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """`clunk reproduce`: the report of 2008 recomputed."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -76,8 +76,8 @@ def sweep(
             click.echo(f"{target} is already complete.", err=True)
         else:
             terminal.warn(study, "swept")
-            with progress.reporting(True, job.design.cells, study) as show, opening as engine:
-                result = job.run(engine, progress=show)
+            with opening as engine:
+                result = job.run(engine, progress=True)
         if not traces:
             job.finish(result)
         failed = _report(result, job, as_json)

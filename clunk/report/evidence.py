@@ -12,8 +12,8 @@ from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import Study, replace_values
-from clunk.sweeping.progress import Progress, reporting
-from clunk.sweeping.sweep import cell_count, sweep
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.sweep import sweep
 
 RATIOS = (1.0, 2.0, 5.0)  # of Figure 3.2
 NOMINAL_RATIO, NOMINAL_BACKLASH = 5.0, 6.0  # of Figures 3.1, 3.3 and 3.6
@@ -61,8 +61,7 @@ def run_maps(coarsen: int = 1, workers: int | None = None, progress: bool | Prog
         axes = _AXIS.format("load.ratio", 10.0, values) + _AXIS.format("lash.backlash_deg", 20.0, values)
         text = f'title = "{title}"\n{_DRIVELINE}{axes}'
         study = study_from_text(text, source=f"the config of {title}", overrides=overrides)
-        with reporting(progress, cell_count(study), study) as report:
-            maps[name] = sweep(study, workers=workers, progress=report)
+        maps[name] = sweep(study, workers=workers, progress=progress)
     return maps
 
 

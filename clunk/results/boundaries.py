@@ -3,19 +3,16 @@
 In a file they are ragged arrays as CF lays them out, with a number of vertices for each curve and ring.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.netcdf import Variable, flags, meanings_of
-from clunk.study.arrays import Array, Floats
+from clunk.study.arrays import Array, Counts, Flanks, Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.records import Rows, as_text, counted
 
@@ -103,16 +100,16 @@ class Boundaries:
     axes: tuple[ResultAxis, ...]
     labels: tuple[str, ...]
     vertices: Floats
-    curve_counts: npt.NDArray[np.int32]
-    curve_left: npt.NDArray[np.int16]
-    curve_right: npt.NDArray[np.int16]
-    curve_event: npt.NDArray[np.int8]
+    curve_counts: Counts
+    curve_left: LabelCodes
+    curve_right: LabelCodes
+    curve_event: Flanks
     junctions: Floats
-    junction_labels: npt.NDArray[np.int16]
+    junction_labels: LabelCodes
     ring_vertices: Floats
-    ring_counts: npt.NDArray[np.int32]
-    region_rings: npt.NDArray[np.int32]
-    region_label: npt.NDArray[np.int16]
+    ring_counts: Counts
+    region_rings: Counts
+    region_label: LabelCodes
     region_area: Floats
     unresolved: Floats
     lash: str = ""
@@ -204,7 +201,7 @@ class Boundaries:
         }
 
 
-def _parts(values: Array, counts: npt.NDArray[np.int32]) -> list[Array]:
+def _parts(values: Array, counts: Counts) -> list[Array]:
     return list(np.split(values, np.cumsum(counts)[:-1])) if counts.size else []
 
 

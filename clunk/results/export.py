@@ -1,12 +1,9 @@
 """Maps and histories for other programs: comma-separated values, arrays in a MAT-file for MATLAB, or GeoJSON."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 import math
-import os
 from collections.abc import Iterable, Sequence
 from typing import Any, BinaryIO
 
@@ -21,12 +18,13 @@ from clunk.results.store import dataset_of
 from clunk.simulation.history import History
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Array
+from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError
 
 _ROWS = 4096  # cells, written at once
 
 
-def save(path: str | os.PathLike[str], results: AnyMap) -> None:
+def save(path: FilePath, results: AnyMap) -> None:
     """Write a map in the format of the file name's suffix, one of `WRITERS`. Raises ClunkError."""
     with writing(path) as target:
         write_whole(target, lambda stream: WRITERS[target.suffix.lower()](stream, results))
@@ -95,7 +93,7 @@ def _write_geojson(stream: BinaryIO, results: AnyMap) -> None:
 WRITERS = {".csv": _write_csv, ".mat": _write_mat, ".geojson": _write_geojson}
 
 
-def save_history(path: str | os.PathLike[str], history: History) -> None:
+def save_history(path: FilePath, history: History) -> None:
     """Write a history as comma-separated values, with the units in the names of the columns. Raises ClunkError.
 
     The last columns are text, empty but in the row that follows an event: what it is, of several lashes which, and its

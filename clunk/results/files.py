@@ -1,7 +1,5 @@
 """Writing files whole or not at all: a reader gets the old content or the new, never half of it."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import tempfile
@@ -10,10 +8,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError
 
 
-def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object], scratch: Path | None = None) -> None:
+def write_whole(path: FilePath, write: Callable[[BinaryIO], object], scratch: Path | None = None) -> None:
     """Write a file so that at every moment `path` is either the old file or the complete new one.
 
     The content goes to `scratch`, a directory of the same file system (by default the one of
@@ -40,7 +39,7 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object
 
 
 @contextmanager
-def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def writing(path: FilePath) -> Iterator[Path]:
     """Make a file's directory, and raise an OSError of writing the file as a sentence for the user."""
     path = Path(path)
     try:
@@ -50,7 +49,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise ClunkError(f"{path} cannot be written: {reason(problem)}.") from problem
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: FilePath, text: str) -> None:
     """Write a text file whole or not at all, in UTF-8; an OSError is raised as a sentence for the user."""
     with writing(path) as target:
         write_whole(target, lambda file: file.write(text.encode()))
@@ -73,11 +72,15 @@ PICTURES = (".png", ".svg", ".pdf")
 RESULTS = (".h5",)
 
 
-def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
+def check(target: Path | None, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
     """Refuse a file name of another suffix, a file that is being read, a directory, and a place that takes no files.
 
     Missing parent directories are made. Raises ClunkError.
+
+    target : None where no file is asked for
     """
+    if target is None:
+        return
     if target.is_dir():
         raise ClunkError(f"{target} is a directory; name a file in it.")
     if target.suffix.lower() not in suffixes:

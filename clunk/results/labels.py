@@ -1,7 +1,5 @@
 """Labels of sequences of impacts, such as DS(1)SS(2): how they are spelt, and what they count."""
 
-from __future__ import annotations
-
 import re
 from itertools import groupby
 

@@ -1,7 +1,5 @@
 """Maps over swept parameters: regime maps, with the outcome of every cell, and tolerance maps, with probabilities."""
 
-from __future__ import annotations
-
 import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -30,7 +28,7 @@ from clunk.results.quantities import (
     named_numbers,
     no_quantity,
 )
-from clunk.study.arrays import Array, Floats, Integers
+from clunk.study.arrays import Array, Counts, Floats, Integers
 from clunk.study.axes import LASH, ResultAxis
 from clunk.study.designs import Design
 from clunk.study.document import value_at
@@ -430,7 +428,7 @@ class ToleranceMap(Map):
         """Mean over the runs of each cell that did not fail: of 1 and 0 a share; NaN where all failed."""
         return self._of_finished(self.runs[..., :FAILED_CODE] @ np.asarray(numbers, np.float64))
 
-    def _of_finished(self, runs: npt.NDArray[np.int32] | Floats) -> Floats:
+    def _of_finished(self, runs: Counts | Floats) -> Floats:
         """Numbers of runs as shares of those of their cells that did not fail."""
         finished = self.draws - self.runs[..., FAILED_CODE]
         shares: Floats = np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
@@ -454,9 +452,9 @@ class ToleranceMap(Map):
         return len(self.sample[0].values)
 
     @cached_property
-    def runs(self) -> npt.NDArray[np.int32]:
+    def runs(self) -> Counts:
         """Of the N runs of a cell, those with each label, and last those that failed: shape + (labels + 1,)."""
-        runs: npt.NDArray[np.int32] = np.rint(self.probability * self.draws).astype(np.int32)
+        runs: Counts = np.rint(self.probability * self.draws).astype(np.int32)
         return runs
 
     @property

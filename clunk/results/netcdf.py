@@ -11,12 +11,9 @@ its superblock names, and cuts the file there when it changes it: a file that an
 checksum any more.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +25,7 @@ import numpy.typing as npt
 
 from clunk.results.files import reason, write_whole, writing
 from clunk.study.arrays import Array
-from clunk.study.document import nearest_file
+from clunk.study.document import FilePath, nearest_file
 from clunk.study.errors import ClunkError
 
 # Last dimension of a variable -> the variable that tells how many entries along it each cell has.
@@ -130,7 +127,7 @@ def content_digest(dataset: Dataset) -> str:
 # --- writing
 
 
-def write(path: str | os.PathLike[str], dataset: Dataset, scratch: Path | None = None) -> None:
+def write(path: FilePath, dataset: Dataset, scratch: Path | None = None) -> None:
     """Write a dataset and its checksum so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
@@ -195,7 +192,7 @@ def _trailer(content: memoryview | bytes) -> bytes:
 # --- reading
 
 
-def read(path: str | os.PathLike[str]) -> Dataset:
+def read(path: FilePath) -> Dataset:
     """Read a file whole, its bytes compared with their checksum. Raises StoreError."""
     path = Path(path)
     try:

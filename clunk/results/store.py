@@ -5,13 +5,13 @@ The variables are the quantities of the map, see `clunk.results.quantities`.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clunk.results.boundaries import boundaries_of, variables_of
+from clunk.results.files import reason
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import AnyMap, Results, ToleranceMap, quantities_of_config
 from clunk.results.netcdf import (
@@ -27,6 +27,7 @@ from clunk.results.netcdf import (
 from clunk.results.quantities import TOLERANCE_QUANTITIES
 from clunk.study.arrays import Array
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis, run_axis
+from clunk.study.document import FilePath
 
 if TYPE_CHECKING:
     import xarray
@@ -43,7 +44,7 @@ _DIMENSIONS = {  # behind a map's axes -> attributes
 _DRAWN = "drawn_"  # begins the names of the sample's variables
 
 
-def write_results(path: str | os.PathLike[str], results: AnyMap, scratch: Path | None = None) -> None:
+def write_results(path: FilePath, results: AnyMap, scratch: Path | None = None) -> None:
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
@@ -58,7 +59,7 @@ def write_results(path: str | os.PathLike[str], results: AnyMap, scratch: Path |
     write(path, dataset_of(results), scratch)
 
 
-def read_results(path: str | os.PathLike[str]) -> Results:
+def read_results(path: FilePath) -> Results:
     """Read a regime map whole, its bytes compared with their checksum. Raises StoreError.
 
     Examples
@@ -76,7 +77,7 @@ def read_results(path: str | os.PathLike[str]) -> Results:
     return results
 
 
-def read_map(path: str | os.PathLike[str]) -> AnyMap:
+def read_map(path: FilePath) -> AnyMap:
     """Read whichever map a results file holds, as `read_results`. Raises StoreError.
 
     Examples
@@ -88,7 +89,10 @@ def read_map(path: str | os.PathLike[str]) -> AnyMap:
     >>> clunk.read_map("results/tolerance.h5").draws
     4
     """
-    return map_of(read(path))
+    try:
+        return map_of(read(path))
+    except LookupError as error:  # a file that is as it was written, by another version
+        raise StoreError(f"{path} lacks what this clunk reads ({reason(error)}): run the sweep again.") from error
 
 
 # --- from maps to datasets
@@ -168,7 +172,7 @@ def _axis_of(variable: Variable) -> ResultAxis:
 # --- as xarray has them
 
 
-def open_results(path: str | os.PathLike[str]) -> xarray.Dataset:
+def open_results(path: FilePath) -> xarray.Dataset:
     """Open a results file as an xarray Dataset.
 
     The file is checked and read whole (45 bytes a cell, and 25 a primary impact for as many of these as the cell that

@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.regimes import System, driveline_at
@@ -21,7 +20,7 @@ from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
 from clunk.simulation.phases import Regime, apply, regime_under, states, stretches
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.arrays import Bools, Floats, Integers, Positions
+from clunk.study.arrays import Bools, Flanks, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
 from clunk.study.models import Lash
 from clunk.study.study import Study
@@ -69,7 +68,7 @@ class History:
     acceleration: Floats  # (M, n)  rad/s2, θ''; without the impulses of the restitution model
     torque: Floats  # (M,)  N m, the load
     backlash_coordinates: Floats  # (M, L)  m, x_b = r q of each lash
-    contacts: npt.NDArray[np.int8]  # (M, L)  the flank of each that presses: -1 initial, +1 opposite, 0 none
+    contacts: Flanks  # (M, L)  the flank of each that presses: -1 initial, +1 opposite, 0 none
     contact_torques: Floats  # (M, L)  N m, across each lash, signed like q; without the impulses of restitution
     event: Integers  # (M,)  the row's index in the trajectory's events, -1 where there is none
 
@@ -94,7 +93,7 @@ class History:
         return self.backlash_coordinates[:, self.trajectory.lash]
 
     @property
-    def contact(self) -> npt.NDArray[np.int8]:
+    def contact(self) -> Flanks:
         """(M,) the flank that presses: -1 initial, +1 opposite, 0 none."""
         return self.contacts[:, self.trajectory.lash]
 

@@ -11,11 +11,12 @@ import tomllib
 import warnings
 from collections.abc import Container, Mapping, Sequence
 from importlib.resources import files
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from clunk.study.document import (
+    Document,
+    FilePath,
     Place,
     assign,
     dotted,
@@ -42,7 +43,7 @@ _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...]
 )
 
 
-def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Study:
+def load_study(path: FilePath, overrides: Sequence[str] = ()) -> Study:
     """Load the study of a config file.
 
     Parameters
@@ -76,9 +77,7 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
     return study_from_text(read_text(path), str(path), overrides, Path(path).parent)
 
 
-def study_from_text(
-    text: str, source: str = "<text>", overrides: Sequence[str] = (), folder: str | PathLike[str] = "."
-) -> Study:
+def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] = (), folder: FilePath = ".") -> Study:
     """Load the study of a config's text; as `load_study` otherwise.
 
     Parameters
@@ -147,7 +146,7 @@ def study_from_text(
     raise report(source, [*problems.values(), *malformed])
 
 
-def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str, dict[str, Any], list[Finding]]:
+def _preset(raw: Document, assignments: Mapping[Place, Any]) -> tuple[str, Document, list[Finding]]:
     """Name and tables of the preset, without what the file gives in other keys; empty where there is none."""
     place: Place = ("driveline", "preset")
     name: Any = assignments.get(place, value_at(raw, place))
@@ -173,7 +172,7 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     return name, preset, findings
 
 
-def _read_preset(name: str) -> dict[str, Any]:
+def _read_preset(name: str) -> Document:
     """Tables of a preset, in the place of those of the preset that it names, if it names one."""
     tables = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
     base = tables["driveline"].pop("preset", None)
@@ -193,7 +192,7 @@ def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str
         warnings.warn(f"{text}; {hint}", ClunkWarning, stacklevel=4)
 
 
-def _displace(document: dict[str, Any], place: Place, value: Any = None, kept: Container[Place] = ()) -> None:
+def _displace(document: Document, place: Place, value: Any = None, kept: Container[Place] = ()) -> None:
     """Remove the keys of a document that another layer's key replaces: its other unit, the other torques and so on.
 
     value : of that key
@@ -215,7 +214,7 @@ def _alternatives(place: Place) -> list[str]:
     return [other for pair in pairs for one, two in (pair, pair[::-1]) if name in one for other in two]
 
 
-def _merged(preset: Mapping[str, Any], raw: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(preset: Mapping[str, Any], raw: Mapping[str, Any]) -> Document:
     """A preset with the file's values in place of its own; a list of the file replaces the preset's."""
     merged = dict(preset)
     for key, value in raw.items():
@@ -225,13 +224,13 @@ def _merged(preset: Mapping[str, Any], raw: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def _unwrap_lash(document: dict[str, Any]) -> None:
+def _unwrap_lash(document: Document) -> None:
     """Make an array of one lash the lash itself, whose keys then have no number."""
     if len(lashes := items_of(document.get("lash"))) == 1:
         document["lash"] = lashes[0]
 
 
-def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
+def _entries(document: Mapping[str, Any]) -> list[tuple[Place, Document]]:
     """The axes, samples, tolerances, fitted and free parameters of a document that are tables, each with its place."""
     return [
         ((table, name, k), entry)
@@ -241,7 +240,7 @@ def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
     ]
 
 
-def _load_trace(document: dict[str, Any], folder: str | PathLike[str]) -> list[Finding]:
+def _load_trace(document: Document, folder: FilePath) -> list[Finding]:
     """Put the times and torques of the load's file, if it has one alone, in its place."""
     load = document.get("load")
     file = value_at(load, ("file",))
@@ -255,7 +254,7 @@ def _load_trace(document: dict[str, Any], folder: str | PathLike[str]) -> list[F
     return []
 
 
-def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Finding]:
+def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
     """Fill in what a document implies: swept keys that it leaves out, and the inertia of the severity.
 
     Names in the parameters of sweep, fit and optimisation become numbers. Returns what is wrong with these parameters.

@@ -4,8 +4,6 @@ A grid has a dimension for each axis. Axes that are walked together (a zip desig
 sampled one) lie along one dimension, `run`, each a coordinate on it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping

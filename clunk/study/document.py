@@ -18,6 +18,8 @@ from pydantic import BaseModel
 from clunk.study.errors import ConfigError, Problem, nearest, shorten
 
 Place = tuple[str | int, ...]
+FilePath = str | PathLike[str]
+Document = dict[str, Any]  # tables of a config, as TOML has them
 
 _LARGEST_FILE = 64 * 2**20  # bytes; a device or a results file must not fill the memory before it is refused
 _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the stack
@@ -30,9 +32,7 @@ _WORDS_OF_TOML = {"true", "false", "inf", "nan"}
 # --- Text -> tables --------------------------------------------------------------------------------------------------
 
 
-def read_text(
-    path: str | PathLike[str], noun: str = "a config", form: str = "a TOML file", known: str | None = None
-) -> str:
+def read_text(path: FilePath, noun: str = "a config", form: str = "a TOML file", known: str | None = None) -> str:
     """Read a text file in UTF-8; raise ConfigError where there is no such file, or it is no text.
 
     noun, form : what is to be read, for the error's text
@@ -57,7 +57,7 @@ def read_text(
         raise _refusal(text, line) from None
 
 
-def parse_toml(text: str, source: str) -> dict[str, Any]:
+def parse_toml(text: str, source: str) -> Document:
     """Parse TOML into tables; raise ConfigError where it is none."""
     try:
         document = tomllib.loads(text)
@@ -195,7 +195,7 @@ def with_value(node: Any, place: Place, value: Any) -> Any:
     return {**node, step: with_value(node.get(step), place[1:], value)}
 
 
-def assign(document: dict[str, Any], place: Place, value: Any) -> bool:
+def assign(document: Document, place: Place, value: Any) -> bool:
     """Put a value at a place of a document, with the tables around it; returns whether there is such a place."""
     node: Any = document
     for k, step in enumerate(place):

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from clunk.study.document import Place, dotted, value_at
+from clunk.study.document import Document, Place, dotted, value_at
 from clunk.study.errors import listing, nearest, shorten
 from clunk.study.models import Config
 from clunk.study.tables import ONE, SEVERAL, Finding, Quantity
@@ -55,7 +55,7 @@ class Key:
 
 
 @functools.cache
-def json_schema() -> dict[str, Any]:
+def json_schema() -> Document:
     """JSON Schema of config files; not to be changed in place."""
     schema = Config.model_json_schema()
     for name, table in [("Config", schema), *schema["$defs"].items()]:

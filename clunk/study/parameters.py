@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from clunk.study.arrays import Floats
-from clunk.study.document import Place, dotted, items_of, parse_place, value_at, with_value
+from clunk.study.document import Document, Place, dotted, items_of, parse_place, value_at, with_value
 from clunk.study.errors import ConfigError, Problem, nearest, shorten
 from clunk.study.keys import ITEM, Key, key_at, keys
 from clunk.study.models import NOT_OF_A_RUN, Config, lash_name
@@ -135,7 +135,7 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     return place, key, math.nan if value is None else float(value)
 
 
-def with_values(config: Config, values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[Place, str]]:
+def with_values(config: Config, values: Mapping[str, Any]) -> tuple[Document, dict[Place, str]]:
     """Tables of a config's run with other values of some parameters, and the parameters by their places.
 
     Raises

@@ -8,8 +8,6 @@ In a text, sentences come first (`SENTENCE` stands in the place of their heading
 then records and tables of records, each under its heading. What has no heading is for scripts alone.
 """
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -4,11 +4,10 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import tomli_w
 
-from clunk.study.document import dotted, items_of, with_value
+from clunk.study.document import Document, dotted, items_of, with_value
 from clunk.study.errors import Problem, report
 from clunk.study.keys import validated
 from clunk.study.models import NOT_OF_A_RUN, Config
@@ -72,7 +71,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     return replaced.model_copy(update={name: getattr(study, name) for name in NOT_OF_A_RUN})
 
 
-def content(study: Study) -> dict[str, Any]:
+def content(study: Study) -> Document:
     """A study as plain tables, lists and values, without what has no value."""
     plain = study.model_dump(exclude_none=True)
     if study.sweep is not None:
@@ -85,7 +84,7 @@ def to_toml(study: Study) -> str:
     return tomli_w.dumps(content(study))
 
 
-def decisive_content(study: Study) -> dict[str, Any]:
+def decisive_content(study: Study) -> Document:
     """The part of a study that decides the results: physics, solver and sweep; not the title, names, lines or a fit.
 
     A swept key's own value does not count, since no cell has it: it is None.

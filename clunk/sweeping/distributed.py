@@ -6,8 +6,6 @@ the same versions, so that no bit of a tile depends on the one that runs it. A s
 scheduler at once; tiles that run then go on to their ends, and their results are dropped.
 """
 
-from __future__ import annotations
-
 import logging
 import pickle
 import time
@@ -31,8 +29,14 @@ from clunk.sweeping.machine import available_cores, cpu_model, versions
 _CONNECTING = 4.0  # s
 _ASKING = 1.0  # s between two looks at the number of threads
 _LOGS = ("distributed", "distributed.client", "tornado.application")  # silent: errors are sentences here
-# In a terminal Ctrl-C goes to every process; the workers of a local cluster leave it to this one.
-_NO_INTERRUPTS = "import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+_LOCAL: dict[str, Any] = {
+    "threads_per_worker": 1,
+    "scheduler_kwargs": {"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+    "memory_limit": 0,  # of a worker; it needs some MB beside the program itself
+    "silence_logs": logging.CRITICAL,
+    # in a terminal Ctrl-C goes to every process; these leave it to this one
+    "preload": ["import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"],
+}
 
 
 class Cluster(Executor):
@@ -40,7 +44,7 @@ class Cluster(Executor):
 
     address : of the scheduler, ``tcp://host:8786``; or ``local`` for one with workers on this machine, which end with
         this; a script that uses that needs Python's ``if __name__ == "__main__":``
-    workers : processes of ``local``; by default one for each core that this process may use
+    workers : processes of ``local``; by default one for each core
     say : called with messages on what it waits for
 
     Raises EngineError where there is no scheduler, or one of its workers has other versions.
@@ -54,22 +58,14 @@ class Cluster(Executor):
         self._threads, self._asked = 0, -_ASKING
 
     def __enter__(self) -> Self:
+        scheduler: Any = self._address
         with ExitStack() as opened:
             for name in _LOGS:
                 opened.enter_context(silence_logging_cmgr(logging.CRITICAL + 1, name))
             opened.enter_context(dask.config.set({"distributed.comm.timeouts.connect": _CONNECTING}))
             try:
-                scheduler: Any = self._address
-                if self._address == "local":
-                    local = LocalCluster(
-                        n_workers=self._workers,
-                        threads_per_worker=1,
-                        scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                        memory_limit=0,  # of a worker; it needs some MB beside the program itself
-                        silence_logs=logging.CRITICAL,
-                        preload=[_NO_INTERRUPTS],
-                    )
-                    scheduler = opened.enter_context(local)
+                if scheduler == "local":
+                    scheduler = opened.enter_context(LocalCluster(n_workers=self._workers, **_LOCAL))
                 client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
                 self._client = opened.enter_context(client)
                 if not self._client.nthreads():
@@ -98,11 +94,7 @@ class Cluster(Executor):
         return max(1, self._threads)
 
     def processors(self) -> str:
-        """The models of the workers' processors.
-
-        A system that all cells share is prepared in this process. Those of structural axes are prepared on the workers,
-        by LAPACK, which on a processor of another type may round differently.
-        """
+        """The models of the workers' processors: LAPACK, which prepares systems there, may round by them."""
         models = {}
         with suppress(OSError):  # all cells are finished, and the scheduler or a worker has gone since
             models = self._client.run(cpu_model, on_error="ignore")
@@ -122,20 +114,16 @@ class Cluster(Executor):
         if isinstance(error, EngineError):
             return error
         if isinstance(error, KilledWorker):
-            count = error.allowed_failures + 1
-            return EngineError(f"The same cells were being run by {count} workers that died: see their logs.")
-        if isinstance(error, CancelledError) or self._client.status != "running":
-            return EngineError(f"The scheduler at {self._address} was lost.")
-        return EngineError(
-            f"A worker could not run its cells ({reason(error)}): it needs the same installation as here."
-        )
-
-
-# --- on a worker
+            text = f"The same cells were being run by {error.allowed_failures + 1} workers that died: see their logs."
+        elif isinstance(error, CancelledError) or self._client.status != "running":
+            text = f"The scheduler at {self._address} was lost."
+        else:
+            text = f"A worker could not run its cells ({reason(error)}): it needs the same installation as here."
+        return EngineError(text)
 
 
 def _run(wanted: Mapping[str, str], grid: Grid, cells: Cells, stop: Flag) -> Tile:
-    """Run a tile; the worker keeps its grid, with the drivelines that it has prepared, for other tiles.
+    """Run a tile on a worker, which keeps its grid, with the drivelines that it has prepared, for other tiles.
 
     Raises EngineError where the worker has other versions than those that are wanted.
     """

@@ -9,8 +9,6 @@ An engine may have two methods besides: `processors()`, and `explained(error)`, 
 the user.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 import time

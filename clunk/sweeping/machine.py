@@ -1,7 +1,5 @@
 """The machine and the versions that results come from: cores and memory, processor, and what decides the bits."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

@@ -8,8 +8,6 @@ A part is complete before it gets its name, and is checked when it is read. The 
 the parts, and moved into its place; then the directory is removed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -25,7 +23,7 @@ import numpy as np
 
 from clunk.results.files import reason, write_whole
 from clunk.study.config import study_from_text
-from clunk.study.document import leaves
+from clunk.study.document import FilePath, leaves
 from clunk.study.errors import ClunkError, ConfigError, shorten
 from clunk.study.study import Study, decisive_content, digest, to_toml
 from clunk.sweeping.cells import Tile
@@ -50,7 +48,7 @@ class WorkingDirectory:
     target : the results file; through a symbolic link, what it points to
     """
 
-    def __init__(self, target: str | os.PathLike[str]) -> None:
+    def __init__(self, target: FilePath) -> None:
         self.target = Path(os.path.realpath(target))
         self.path = self.target.with_name(self.target.name + ".partial")
         self._lock: BinaryIO | None = None

@@ -4,8 +4,6 @@ A sweep is a design, the cells of which a grid runs to tiles, and a map that is 
 and tolerance maps (`clunk.sweeping.tolerances`) differ in the grid and in the map's arrays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
@@ -13,14 +11,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, label_order
 from clunk.results.maps import Results
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
-from clunk.study.arrays import Array, Bools, Cells, Records
+from clunk.study.arrays import Array, Bools, Cells, LabelCodes, Records
 from clunk.study.axes import lash_axis
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
@@ -29,7 +26,7 @@ from clunk.sweeping.engines import run_tiles
 from clunk.sweeping.progress import Progress
 
 
-def labels_of(records: Records, impacts: Records) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
+def labels_of(records: Records, impacts: Records) -> tuple[tuple[str, ...], LabelCodes]:
     """Labels of runs in `label_order`, and each run's code among them, -1 where it failed.
 
     records : CELL
@@ -47,7 +44,7 @@ def labels_of(records: Records, impacts: Records) -> tuple[tuple[str, ...], npt.
     return labels, codes[word_of]
 
 
-def in_order(words: Sequence[str]) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
+def in_order(words: Sequence[str]) -> tuple[tuple[str, ...], LabelCodes]:
     """Labels in `label_order`, and each word's number there, -1 of ``failed``.
 
     Raises ClunkError where they are more than a map holds.

@@ -1,7 +1,5 @@
 """Runs of a study at points of some of its keys: prepared once, and run batch after batch."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from functools import cached_property

@@ -1,9 +1,6 @@
 """Sweeps: the cells of a study's design, run by an engine and reduced to a map, in memory or into a results file."""
 
-from __future__ import annotations
-
 import math
-import os
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +14,7 @@ from clunk.results.netcdf import StoreError
 from clunk.results.store import read_map, write_results
 from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
+from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError
 from clunk.study.records import counted
 from clunk.study.study import Study, digest
@@ -24,7 +22,7 @@ from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import EngineError, Threads
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.reduction import Reduction, regime_map
 from clunk.sweeping.tolerances import SampleGrid, tolerance_map
 
@@ -113,16 +111,21 @@ class Job:
         engine: Executor | None = None,
         *,
         workers: int | None = None,
-        progress: Progress | None = None,
+        progress: bool | Progress = False,
     ) -> AnyMap:
         """Run the cells that are not finished.
 
         engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads
         workers : number of these threads; by default one for each core that this process may use
-        progress : called in this thread with the number of cells, first of those finished before, then after each tile
+        progress : whether a bar is shown; or called in this thread with the number of cells, first of those finished
+            before, then after each tile
 
         Raises as `clunk.sweep`.
         """
+        with reporting(progress, self.design.cells, self.study) as report:
+            return self._run(engine, workers, report)
+
+    def _run(self, engine: Executor | None, workers: int | None, progress: Progress | None) -> AnyMap:
         began = time.perf_counter()
         reduction, parts = self._reduction, self.parts
         shared = reduction.grid.shared()
@@ -159,7 +162,7 @@ class Job:
 
 @contextmanager
 def opened(
-    path: str | os.PathLike[str] | None,
+    path: FilePath | None,
     study: Study,
     *,
     restart: bool = False,
@@ -247,7 +250,7 @@ def sweep(
     *,
     workers: int | None = None,
     engine: Executor | None = None,
-    progress: Progress | None = None,
+    progress: bool | Progress = False,
 ) -> Results:
     """Run the cells of a study in memory.
 
@@ -258,9 +261,3 @@ def sweep(
     results = Job(study, design).run(engine, workers=workers, progress=progress)
     assert isinstance(results, Results)
     return results
-
-
-def cell_count(study: Study) -> int:
-    """Number of cells of a study's sweep; 0 without axes."""
-    design = design_of(study)
-    return design.cells if design.shape else 0

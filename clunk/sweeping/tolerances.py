@@ -4,8 +4,6 @@ Most draws are systems of their own, which all cells of a tile share. Of a cell'
 each with its number of runs, and the statistics of their severity.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 
@@ -16,7 +14,7 @@ from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import QUANTILES, ToleranceMap
-from clunk.study.arrays import Cells, Floats
+from clunk.study.arrays import Cells, Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import along_run
 from clunk.study.parameters import drawn_numbers, nominal_value, quantity
@@ -137,7 +135,7 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
 
 
 def _summary(
-    codes: npt.NDArray[np.int16], severity: Floats, status: npt.NDArray[np.uint8]
+    codes: LabelCodes, severity: Floats, status: npt.NDArray[np.uint8]
 ) -> tuple[tuple[Any, ...], dict[int, int]]:
     """A cell's TOLERANCE_CELL, and how many draws have each code; of its runs, the last is the nominal one."""
     nominal = int(codes[-1])

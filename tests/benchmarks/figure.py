@@ -17,6 +17,7 @@ import numpy as np
 
 from clunk.simulation import batches
 from clunk.study.config import load_study
+from clunk.study.designs import design_of
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 
@@ -33,7 +34,7 @@ def report_map(count: int) -> Study:
 def main(repeats: int, count: int) -> None:
     """Print the table, of a map of count x count cells."""
     study = report_map(count)
-    cells = sweeping.cell_count(study)
+    cells = design_of(study).cells
     sweeping.sweep(report_map(3))  # compile
     cores = len(os.sched_getaffinity(0))
     cases = [(early, workers) for early in (True, False) for workers in sorted({1, cores})]

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 from clunk.study.config import load_study, study_from_text
+from clunk.study.designs import design_of
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 
@@ -70,14 +71,14 @@ def main(repeats: int, largest: int) -> None:
         driveline, method, lashes = case
         pairs = zip(seconds[driveline, method, 1], seconds[case], strict=True)
         share = statistics.median(of_one / of_these for of_one, of_these in pairs)
-        runs = sweeping.cell_count(study)
+        runs = design_of(study).cells
         speed = runs / statistics.median(seconds[case])
         print(f"{driveline:<10}{method:<8}{lashes:>6}{runs:>8}{touches[case]:>13.1f}{speed:>10.0f}{share:>13.2f}")
 
 
 def touches_of(study: Study) -> float:
     """How often flanks touch in a run, on average; all kernels are compiled behind it."""
-    return float(sweeping.sweep(study).touches.sum() / sweeping.cell_count(study))
+    return float(sweeping.sweep(study).touches.sum() / design_of(study).cells)
 
 
 if __name__ == "__main__":

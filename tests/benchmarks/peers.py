@@ -35,8 +35,9 @@ import clunk
 from clunk.core.events import EVENT
 from clunk.core.sequence import COURSE, INITIAL, OPPOSITE, label, take_event
 from clunk.simulation.driveline import Driveline
+from clunk.study.designs import design_of
 from clunk.study.study import replace_values
-from clunk.sweeping import cells, sweep as sweeping
+from clunk.sweeping import cells
 from clunk.sweeping.machine import cpu_model
 
 CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
@@ -99,7 +100,7 @@ class Clunk:
 
     def work(self, cores: int) -> tuple[int, float]:
         """Runs and seconds of one sweep."""
-        return sweeping.cell_count(self.timed), figure.timed(self.timed, cores, not self.whole)
+        return design_of(self.timed).cells, figure.timed(self.timed, cores, not self.whole)
 
     def check(self, _: bool, expected: Expected) -> None:
         """Fill in the errors."""

@@ -22,6 +22,7 @@ import numpy as np
 
 from clunk.results import netcdf, store
 from clunk.study.config import study_from_text
+from clunk.study.designs import design_of
 from clunk.study.study import Study, to_toml
 from clunk.sweeping import cells, sweep as sweeping
 from clunk.sweeping.parts import Parts, WorkingDirectory
@@ -119,7 +120,7 @@ def measure(count: float) -> dict[str, object]:
             stages.watch("info --check", netcdf.read)(directory.target)
         except netcdf.StoreError as error:
             print(error, file=sys.stderr)
-    cells_run = sweeping.cell_count(study)
+    cells_run = design_of(study).cells
     return {
         "cells": cells_run,
         "seconds": stages.seconds,
