@@ -19,7 +19,7 @@ An impact is over before a friction's torque makes an impulse: what it sets in m
 import numpy as np
 
 from clunk.core.arrays import FloatArray
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
     System,
     frictions_of,
@@ -95,21 +95,20 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         without any.
     """
     system, x, inputs = at.system, at.x, at.inputs
-    count, event, resting, sticking, locked = frictions_of(system), -1, 0, 0, 0
+    count, event, resting, locked, sticking = frictions_of(system), -1, 0, 0, _sticking_in(system, regime)
     if ended >= 0:  # functionals of frictions are the last
         event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
-    for k in range(count):
-        rate, most = _rate(system, system.frictions[k], 0.0, x)
-        _, speeds_up = change_of(at, regime, system.frictions[k])
-        most += speeds_up * at.time  # no rate is known better than its time
-        sticks = state_of_friction(system, regime, k) == STICKS
-        rests = k == event or sticks or abs(rate) <= _WITHIN * most
-        resting, sticking = resting | rests << k, sticking | sticks << k
     for lash in range(lashes_of(system) if system.impulsive != 0 else 0):  # one without a gap has always a flank
         locked |= (system.contacts[resting_on, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
-    may_stay = ended < 0 and system.excess[system.regimes[regime].flow] == 0
-    if may_stay and _misfits(at, regime, resting_on, locked, sticking) <= _WITHIN:
+    if ended < 0 and fits(at, regime, resting_on, locked):
         return regime, -1, 0
+    for k in range(count):
+        rests = k == event or sticking >> k & 1 != 0
+        if not rests:
+            rate, most = _rate(system, system.frictions[k], 0.0, x)
+            _, speeds_up = change_of(at, regime, system.frictions[k])
+            rests = abs(rate) <= _WITHIN * (most + speeds_up * at.time)  # no rate is known better than its time
+        resting |= rests << k
     failed = regime if ended >= 0 and event < 0 else -1
     best = _fitting(at, resting_on, failed, event, resting, locked)
 
@@ -130,6 +129,20 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
                 fastest = _rate(system, system.frictions[k], 0.0, x)[1] + _MOMENT * size
                 _set_off(system, k, _KICK * way * fastest, x)
     return best, zero_guard, zero_order
+
+
+@part
+def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
+    """Whether a regime goes on, as what sticks in it, and some locked lashes, as bits, tell; see `choose_states`."""
+    sticking = _sticking_in(at.system, regime)
+    has_excess = at.system.excess[at.system.regimes[regime].flow] != 0
+    return bool(not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= _WITHIN)
+
+
+@inlined_part
+def _sticking_in(system: System, regime: int) -> int:
+    """The frictions that stick in a regime, as bits: whether they do comes last in the number of its flow."""
+    return int(system.regimes[regime].flow // (system.rates.shape[0] >> frictions_of(system)))
 
 
 @part
@@ -180,6 +193,8 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
             if stays or system.excess[system.regimes[candidate].flow] != 0:
                 continue
             misfit = _misfits(at, candidate, regime, locked, resting)
+            if misfit == 0.0:
+                return candidate
             if misfit < least:
                 least, best = misfit, candidate
         closed = (closed - 1) & locked if closed > 0 else -1
@@ -209,26 +224,29 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
     """By how much a friction at rest misses its state in a regime, as a share of the terms; 0 where it fits.
 
     Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
-    it is `_WITHIN` if the friction is about to leave it.
+    it is `_WITHIN` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.
     """
-    system, most = at.system, at.system.friction_torques[friction]
-    state = state_of_friction(system, regime, friction)
+    system, most, way = at.system, at.system.friction_torques[friction], 1.0
+    state, functional = state_of_friction(system, regime, friction), rate_of_friction(system, friction)
     if state == STICKS:
-        functional = rate_of_friction(system, friction) + HOLDING
-        torque, size = holding(at, regime, functional)
-        beyond, size = abs(torque) - most, size + most
-        leaves = torque * holding_slope(at, regime, functional)[0] > 0.0
-        if leaves and system.impulsive != 0:  # at F, and not only at the little more that it holds
-            beyond = max(beyond, min(abs(torque) - most / (1.0 + ABOVE), 0.0))
-    elif _is_held(system, regime, rate_of_friction(system, friction)):
+        torque, size = holding(at, regime, functional + HOLDING)
+        beyond, size, way = abs(torque) - most, size + most, -torque
+        # rigid flanks: at F, and not only at the little more that it holds
+        limit = most if system.impulsive == 0 else most / (1.0 + ABOVE)
+        is_at_limit = abs(torque) - limit > -_WITHIN * size
+    elif _is_held(system, regime, functional):
         return 0.0
     else:
         way = 1.0 if state == SLIPS_FORWARD else -1.0
         speeds_up, size = change_of(at, regime, system.frictions[friction])
-        beyond, leaves = -way * speeds_up, way * _jerk(at, regime, friction) < 0.0
+        beyond = -way * speeds_up
+        is_at_limit = beyond > -_WITHIN * size
     if beyond > _WITHIN * size:
         return float(beyond / size)
-    return _WITHIN if leaves and beyond > -_WITHIN * size else 0.0
+    if not is_at_limit:
+        return 0.0
+    onwards = holding_slope(at, regime, functional + HOLDING)[0] if state == STICKS else _jerk(at, regime, friction)
+    return _WITHIN if way * onwards < 0.0 else 0.0
 
 
 @part
@@ -316,11 +334,12 @@ def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float,
 @part
 def _is_held(system: System, regime: int, functional: int) -> bool:
     """Whether what a functional tells stays zero in a regime, held by others, so that it is none."""
-    flow, weights = system.regimes[regime].flow, 0.0
+    flow = system.regimes[regime].flow
     for by in (system.functionals, system.feedthrough):
         for k in range(by.shape[2]):
-            weights += abs(by[flow, functional, k])
-    return bool(weights == 0.0)
+            if by[flow, functional, k] != 0.0:
+                return False
+    return True
 
 
 @part

@@ -160,9 +160,9 @@ def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
 
 
 @inlined_part
-def is_instant(at: Moment, log: Log, count: int) -> bool:
-    """Whether the phase that the last of so many events began has lasted no time: then it has no extremes."""
-    return elements_of(at.system) > 1 and bool(at.time - log.events[count - 1].time < INSTANT)
+def is_instant(at: Moment, last: float) -> bool:
+    """Whether the phase that the last event, at a time, began has lasted no time: then it has no extremes."""
+    return elements_of(at.system) > 1 and bool(at.time - last < INSTANT)
 
 
 @inlined_part
@@ -202,6 +202,8 @@ def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
     State and inputs may change, and events be written, as at a switch.
     """
     if frictions_of(at.system) == 0:
+        return entry
+    if at.system.impulsive == 0 and rubbing.fits(at, entry.regime, entry.regime, 0):
         return entry
     settled = rigid.enter_chosen(at, log, entry.regime, -1, 0, entry.written)
     if entry.zero_guard < 0:

@@ -187,7 +187,7 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
     row, log = space.runs[slot], log_of(space, slot)
     take_margin_of_event(space, slot, at)
     _close_phase(space, slot)
-    if is_instant(at, log, row.count):
+    if is_instant(at, row.last):
         begin_windows(log, row.count - 1)
     entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
     row.stages += entry.written == row.count  # one that is not written: the phase goes on
@@ -221,6 +221,8 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
     """Begin a run's phase behind events that were written, from the first on: with the windows that these left."""
     log = log_of(space, slot)
     roll_states(system_of(space, slot), space.runs[slot].rolled, log, first, written)
+    if written > first:
+        space.runs[slot].last = log.events[first].time
     for lash in range(lashes_of(space.system)):
         own = space.numbers[slot, lash_at(space, lash) :]
         own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = (

@@ -39,6 +39,7 @@ RUN = np.dtype(
         ("ended", np.int64),  # how the last step did, see GOES_ON
         ("guard", np.int64),  # the one that ended it, by an event
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
+        ("last", np.float64),  # s, when the last event was
         ("rolled", np.float64),  # rad, by the first inertia that rolls; the angles of the run are less that
     ],
     align=True,

@@ -152,7 +152,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         at = Moment(system, time, x, inputs)
         if not may_switch(at, log, written, stages):
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
-        if is_instant(at, log, written):
+        if is_instant(at, log.events[written - 1].time):
             begin_windows(log, written - 1)
         entry = switch(at, log, entry.regime, guard, written, room.fastest)
         stages += entry.written == written
