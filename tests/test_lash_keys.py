@@ -154,6 +154,19 @@ def test_a_name_stands_for_the_number_wherever_a_key_does(command, here):
         assert code == 0, f"{words}\n{errors}"
 
 
+@pytest.mark.parametrize("name", ["gear 2.1", "i = 3.9", "Zahnräder"])
+def test_a_name_may_have_any_signs_but_brackets(command, here, name):
+    """Also dots, which stand between the steps of a key, and the sign behind which its value stands."""
+    key = f"lash[{name}]"
+    text = TWO.replace('"gear"', f'"{name}"') + '[solver]\nmethod = "exact"\n' + SWEPT.format(f"{key}.backlash_deg")
+    (here / "two.toml").write_text(text, encoding="utf-8")
+    assert clunk.study_from_text(text, overrides=[f"{key}.radius=0.06"]).lashes[0].radius == 0.06
+    at, overlay = ("--at", f"{key}.backlash_deg=2"), ("--overlay", f"{key}.radius=0.05,0.06", "-o", "run.svg")
+    for words in (at, (*at, *overlay)):
+        code, _, errors = command("simulate", "two.toml", *words)
+        assert code == 0, errors
+
+
 def test_the_only_lash_may_be_numbered_in_the_columns_of_measurements(here):
     study = clunk.study_from_text(ONE + SWEPT.format("lash.backlash_deg"))
     (here / "measured.csv").write_text("lash[1].backlash_deg,label\n2.0,DS(1)SS(1)\n", encoding="utf-8")

@@ -105,15 +105,16 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
     """Values of axes that --at names, each the nearest one of its axis; document : config that has the axes."""
     import numpy as np
 
+    from clunk.study.document import assigned
     from clunk.study.parameters import numbered
 
     swept = {axis.parameter: axis for axis in axes}
     values: dict[str, float] = {}
     for assignment in at:
-        name, _, text = (part.strip() for part in assignment.partition("="))
+        name, text = assigned(assignment)
         (key,) = numbered([name], document)
         try:
-            axis, wanted = swept[key], float(text)
+            axis, wanted = swept[key], float(text or "")
             nearest = float(axis.values[axis.nearest(wanted)])
         except (KeyError, ValueError):
             there = _spreads(axes) or "nothing"

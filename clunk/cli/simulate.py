@@ -101,12 +101,13 @@ def _studies_to_simulate(
     from itertools import product
 
     from clunk.study.designs import has_tolerances
+    from clunk.study.document import assigned
     from clunk.study.study import replace_values
 
     choices: dict[str, list[str]] = {}
     for assignment in overlay:
-        key, equals, listed = assignment.partition("=")
-        if not equals or not listed:
+        key, listed = assigned(assignment)
+        if not listed:
             raise click.UsageError(f"--overlay {assignment}: must be KEY=V1,V2, for example load.ratio=1,2,5.")
         choices.setdefault(key, []).extend(f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed))
     studies: list[tuple[str, Study]] = []

@@ -79,9 +79,9 @@ def parse_override(text: str) -> tuple[Place, Any]:
     ValueError
         With a sentence on what is malformed.
     """
-    key, equals, value = text.partition("=")
-    place, value = parse_place(key.strip()), value.strip()
-    if not equals or place is None:
+    key, value = assigned(text)
+    place = parse_place(key)
+    if value is None or place is None:
         raise ValueError(
             "must be KEY=VALUE with a dotted key, list items by number from 1, for example driveline.inertias[4]=0.003"
         )
@@ -117,6 +117,17 @@ def _is_too_deep(node: object, room: int = _DEEPEST) -> bool:
     return room < 0 or any(_is_too_deep(child, room - 1) for child in children)
 
 
+def assigned(text: str) -> tuple[str, str | None]:
+    """Key and value of `key=value`; the value is None where there is none."""
+    key, *value = _split(text, "=", 1)
+    return key.strip(), value[0].strip() if value else None
+
+
+def _split(text: str, sign: str, most: int = 0) -> list[str]:
+    """The parts of a text between signs that are not in brackets, where they belong to a name; most : signs, or all."""
+    return re.split(rf"{re.escape(sign)}(?![^\[\]]*\])", text, maxsplit=most)
+
+
 # --- Places ----------------------------------------------------------------------------------------------------------
 
 
@@ -127,7 +138,7 @@ def parse_place(key: str) -> Place | None:
     An item may have a name instead, ``driveline.inertias[ring]``; it comes back as ``"[ring]"``.
     """
     place: list[str | int] = []
-    for part in key.split("."):
+    for part in _split(key, "."):
         match = _SEGMENT.fullmatch(part)
         if match is None:
             return None
