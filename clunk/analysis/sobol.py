@@ -235,13 +235,14 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
     seed : int
         Of the bootstrap.
     """
+    columns = np.ascontiguousarray(values.T)
 
     def estimate(rows: Positions) -> Floats:
-        sample = values[rows]
-        base = sample[:, :2]
-        (a, b), mixed = (part.T - base.mean() for part in (base, sample[:, 2:]))
+        sample = columns.take(rows, axis=1)
+        base, change = sample[:2] - sample[:2].mean(), sample[2:] - sample[0]
+        sums = np.array([np.einsum("n, dn -> d", base[1], change), np.einsum("dn, dn -> d", change, change) / 2.0])
         with np.errstate(divide="ignore", invalid="ignore"):  # of a sample that is all equal
-            indices = np.array([np.mean(b * (mixed - a), axis=1), 0.5 * np.mean((mixed - a) ** 2, axis=1)]) / base.var()
+            indices = sums / (np.square(base).sum() / 2.0)
         return np.where(np.isfinite(indices), indices, 0.0)
 
     n, generator = len(values), np.random.default_rng([seed, 1])  # not the stream that scrambled the points
