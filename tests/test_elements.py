@@ -10,8 +10,8 @@ from helpers import reference
 from helpers.agreement import as_in_the_reference
 from helpers.randomplants import clutch_plant, element_plant, state_in_the_gaps
 
-from clunk.core.regimes import rubs
 from clunk.simulation.driveline import Driveline
+from clunk.simulation.rigid import rubs
 from clunk.simulation.trajectory import simulate
 from clunk.study.errors import ClunkError
 

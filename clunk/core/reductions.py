@@ -10,37 +10,24 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray
 from clunk.core.batches import alike
-from clunk.core.tables import INPUTS, TORQUE
 
 _FITS = 1e-9  # a rate across a lash, relative to those of its ends, that is rounding
 
 
-def chain(
-    inertia: FloatArray,
-    damping: FloatArray,
-    stiffness: FloatArray,
-    load: FloatArray,
-    driven: int = INPUTS,
-    wave: int = 0,
-) -> tuple[FloatArray, FloatArray]:
-    """A and B of M θ'' + C θ' + K θ = b T; of one driveline, or of each of a batch.
+def chain(inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, wave: int = 0) -> FloatArray:
+    """A of M θ'' + C θ' + K θ = …; of one driveline, or of each of a batch.
 
-    B has `driven` columns. Behind θ and θ' are `wave` states more, of which nothing is told yet.
+    Behind θ and θ' are `wave` states more, of which nothing is told yet.
     """
     *batch, n = inertia.shape
-    speeds, states = slice(n, 2 * n), 2 * n + wave
-    rates, inputs = np.zeros((*batch, states, states)), np.zeros((*batch, states, driven))
-    rates[..., :n, speeds] = np.eye(n)
-    rates[..., speeds, :n] = -stiffness / inertia[..., None]
-    rates[..., speeds, speeds] = -damping / inertia[..., None]
-    inputs[..., speeds, TORQUE] = load / inertia
-    return rates, inputs
+    rates = np.zeros((*batch, 2 * n + wave, 2 * n + wave))
+    rates[..., :n, n : 2 * n] = np.eye(n)
+    rates[..., n : 2 * n, : 2 * n] = -np.concatenate([stiffness, damping], axis=-1) / inertia[..., None]
+    return rates
 
 
-def locked(
-    rates: FloatArray, inputs: FloatArray, inertia: FloatArray, lashes: FloatArray, closed: Sequence[int]
-) -> tuple[FloatArray, FloatArray]:
-    """A and B with q' = 0 of the closed lashes as true constraints: inertias that they tie move in a fixed ratio.
+def locked(matrix: FloatArray, inertia: FloatArray, lashes: FloatArray, closed: Sequence[int]) -> FloatArray:
+    """A or B with q' = 0 of the closed lashes as true constraints: inertias that they tie move in a fixed ratio.
 
     Without gear ratios such inertias share one acceleration, to the last bit.
 
@@ -49,20 +36,14 @@ def locked(
     closed : (L,) of int
         Whether each is.
     """
-    n = inertia.shape[-1]
-    rates, inputs = rates.copy(), inputs.copy()
-    basis = constrained(lashes, closed).expand[..., :n, :]
-    moves = alike(basis != 0.0, 2)
-    for matrix in (rates, inputs):
-        matrix[..., n : 2 * n, :][..., ~moves.any(axis=1), :] = 0.0  # tied to ground
-        for k in range(basis.shape[-1] // 2):
-            tied = np.flatnonzero(moves[:, k])
-            if tied.size > 1:
-                motion, inertias = basis[..., k].take(tied, axis=-1), inertia.take(tied, axis=-1)
-                torques = (inertias * motion)[..., None, :] @ matrix.take(n + tied, axis=-2)
-                together = np.sum(inertias * motion**2, axis=-1)[..., None, None]
-                matrix[..., n + tied, :] = motion[..., None] * (torques / together)
-    return rates, inputs
+    if not any(closed):
+        return matrix
+    n, matrix, ties = inertia.shape[-1], matrix.copy(), constrained(lashes, closed).expand
+    basis = ties[..., :n, : ties.shape[-1] // 2]
+    weighed = inertia[..., None] * basis
+    together = np.sum(weighed * basis, axis=-2)[..., None]
+    matrix[..., n : 2 * n, :] = basis @ (weighed.swapaxes(-1, -2) @ matrix[..., n : 2 * n, :] / together)
+    return matrix
 
 
 class Reduction(NamedTuple):

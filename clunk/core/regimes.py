@@ -233,13 +233,6 @@ class RigidMotion(NamedTuple):
     is_dragged: bool  # whether dampers resist
 
 
-def rubs(friction: Friction, rigid: RigidMotion) -> bool:
-    """Whether a friction would slip in steady motion."""
-    terms = friction.twist[..., None] * rigid.shape
-    slips = np.abs(terms.sum(axis=-2)) > _SINGULAR * np.abs(terms).sum(axis=-2)
-    return bool(alike(slips.any(axis=-1), 0))
-
-
 def build_system(
     *,
     inertia: FloatArray,
@@ -253,6 +246,7 @@ def build_system(
     staged: Sequence[StagedShaft],
     loose: Sequence[bool],
     frictions: Sequence[Friction],
+    rubs: bool,
 ) -> System:
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
@@ -281,6 +275,8 @@ def build_system(
         Whether a part of the driveline is free to turn in each combination of stages, with all lashes closed, that is
         not so in others.
     frictions : of Friction
+    rubs : bool
+        Whether one of them would slip in steady motion.
     """
     (*batch, n), twists, stride = inertia.shape, lashes.twists, functionals_of(lashes)
     speeds, mechanical, wave = slice(n, 2 * n), 2 * n, 0 if wave_rates is None else 2
@@ -301,16 +297,21 @@ def build_system(
         """The constraints of a flow: whether each of the rigid lashes is closed, and each of the frictions sticks."""
         return [*(impulsive * closed for closed in every[flow].closed), *every[flow].stuck]
 
-    def flow_of(flow: int) -> tuple[FloatArray, FloatArray]:
-        rates, inputs = chain(inertia, *chains[every[flow]], load, driven, wave)
+    torques = np.zeros((*batch, n, driven))  # on the inertias, in every flow, by each input
+    torques[..., TORQUE] = load
+    for k, shaft in enumerate(staged, constants):
+        torques[..., k] = -shaft.twist
+    for k, friction in enumerate(frictions):
+        torques[..., rubbing + OF_FRICTION * k] = -friction.twist
+
+    def flow_of(flow: int) -> list[FloatArray]:
+        inputs = np.zeros((*batch, mechanical + wave, driven))
+        inputs[..., speeds, :] = torques / inertia[..., None]
         for k in range(count):
             if every[flow].closed[k] and not impulsive:
                 inputs[..., speeds, half_gap_of(k)] = pressing[..., k, :] / inertia
-        for k, shaft in enumerate(staged, constants):
-            inputs[..., speeds, k] = -shaft.twist / inertia
-        for k, friction in enumerate(frictions):
-            inputs[..., speeds, rubbing + OF_FRICTION * k] = -friction.twist / inertia
-        return locked(rates, inputs, inertia, tied, ties_in(flow))
+        matrices = chain(inertia, *chains[every[flow]], wave), inputs
+        return [locked(matrix, inertia, tied, ties_in(flow)) for matrix in matrices]
 
     flows = range(len(every))
     rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, flows), strict=True))
@@ -323,7 +324,7 @@ def build_system(
         tie_stride = 1 << tie if tie < count else stuck_stride << tie - count
         others, twist = flow - ties_in(flow)[tie] * tie_stride, tied[..., tie, :]
         pushed = by_speeds(twist / inertia)[..., None]
-        yielding = _across(twist, locked(pushed, pushed, inertia, tied, ties_in(others))[0][..., speeds, :])
+        yielding = _across(twist, locked(pushed, inertia, tied, ties_in(others))[..., speeds, :])
         if alike(yielding[..., 0] <= _SINGULAR * np.sum(twist**2 / inertia, axis=-1), 0):
             return False
         functionals[..., flow, functional, :] = _across(twist, rates[..., others, speeds, :]) / yielding
@@ -359,11 +360,9 @@ def build_system(
     motions = rigid.shape.shape[-1]
     steady = np.zeros((*batch, len(loose), mechanical + wave, driven))
     carried = np.zeros((*batch, len(loose), count, driven))
-    torques, gaps = np.zeros((*batch, n, driven)), np.zeros((count, driven))
+    gaps = np.zeros((count, driven))
     drag = (chains[every[0]][0] @ rigid.speeds[..., None])[..., 0]
-    torques[..., TORQUE] = load - drag - inertia * rigid.accelerations
-    for k, shaft in enumerate(staged, constants):
-        torques[..., k] = -shaft.twist
+    torques[..., TORQUE] -= drag + inertia * rigid.accelerations
     gaps[range(count), [half_gap_of(k) for k in range(count)]] = 1.0
     compliance = 0.0 if impulsive else 1.0 / lashes.stiffness
     momentum = inertia[..., None] * rigid.shape
@@ -374,7 +373,7 @@ def build_system(
         stiffness = chains[every[k << count]][1]  # with all lashes open
         angles, carried[..., k, :, :] = preload(stiffness, torques, twists, gaps, momentum, compliance)
         steady[..., k, :n, :], steady[..., k, speeds, TORQUE] = angles, rigid.speeds
-    status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
+    status = Status.OK if motions <= 1 and not rubs else Status.NO_EQUILIBRIUM
     rolling = np.broadcast_to(rigid.shape, (*batch, n, motions))[..., : int(status == Status.OK)]
     # by the angles, and where nothing drags by the speeds, too
     drift = np.asarray(np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling), np.float64)
@@ -382,8 +381,8 @@ def build_system(
     tables = build_tables(lashes, staged, frictions, batch)
     for k in range(len(frictions)):  # a rate that stays zero ends nothing
         rate = first_rate + OF_FRICTION * k + RATE
-        is_held = ~alike(functionals[..., tables.regimes["flow"], rate, :].any(axis=-1))[:, None]
-        tables.offsets[..., is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
+        is_held = ~alike(functionals[..., tables["regimes"]["flow"], rate, :].any(axis=-1))[:, None]
+        tables["offsets"][..., is_held & (tables["guards"]["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
 
     return System(
         rates=rates,
@@ -394,7 +393,7 @@ def build_system(
         lashes=joints[..., :count, :],
         inertias=n,
         ramps=int(ramps),
-        **tables._asdict(),
+        **tables,
         impulsive=int(impulsive),
         impulse=by_speeds(impulse),
         passed=passed,

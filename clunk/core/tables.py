@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clunk.core.arrays import FloatArray, IntArray, Records
+from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.batches import alike
 from clunk.core.events import OPENING, REJOIN, SEPARATION, STAGE, TOUCH
 
@@ -141,14 +141,6 @@ class StagedShaft(NamedTuple):
         np.cumsum(-np.diff(self.stiffness) * self.breakpoints, axis=-1, out=jumps[..., 1:])
         return jumps - jumps[..., rest, None]
 
-    def energy(self, twist: float) -> float:
-        """Energy stored at a twist  [J]."""
-        low, high = min(twist, 0.0), max(twist, 0.0)
-        nodes = np.unique(np.clip([0.0, *self.breakpoints, twist], low, high))
-        stages = np.searchsorted(self.breakpoints, nodes)
-        torques = self.stiffness[stages] * nodes + self.torques[stages]
-        return float(np.sign(twist) * np.sum((torques[1:] + torques[:-1]) * np.diff(nodes)) / 2.0)
-
 
 class Friction(NamedTuple):
     """Coulomb friction across a shaft.
@@ -249,11 +241,6 @@ def half_gap_of(lash: int) -> int:
     return HALF_GAP if lash == 0 else INPUTS + lash - 1
 
 
-def held_inputs(lashes: int, frictions: int, inputs: int) -> list[int]:
-    """The inputs that are the twists at which constraints hold: of `inputs`, those of each lash and friction."""
-    return [*map(half_gap_of, range(lashes)), *(inputs - OF_FRICTION * k + 1 for k in range(frictions, 0, -1))]
-
-
 def functionals_of(lashes: Lashes) -> int:
     """How many functionals each lash has."""
     return 3 if lashes.are_rigid or any(lashes.separation_by_force) else 2
@@ -264,11 +251,6 @@ def combinations(counts: Sequence[int]) -> list[tuple[int, ...]]:
     return [chosen[::-1] for chosen in itertools.product(*(range(count) for count in reversed(counts)))]
 
 
-def stages_of(staged: Sequence[StagedShaft]) -> list[tuple[int, ...]]:
-    """The combinations of stages, one for each shaft, in the order in which regimes have them."""
-    return combinations([shaft.stiffness.shape[-1] for shaft in staged])
-
-
 class FlowOf(NamedTuple):
     """A flow by what is active in it: whether lashes are closed, the stages of shafts, and whether frictions stick."""
 
@@ -277,32 +259,13 @@ class FlowOf(NamedTuple):
     stuck: tuple[int, ...]
 
 
-def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list[FlowOf]:
-    """The flows of a driveline in the order of their numbers."""
-    shafts = lashes + len(staged)
-    every = combinations([2] * lashes + [shaft.stiffness.shape[-1] for shaft in staged] + [2] * frictions)
-    return [FlowOf(active[:lashes], active[lashes:shafts], active[shafts:]) for active in every]
-
-
-class Tables(NamedTuple):
-    """The tables of `System`: R regimes in U groups, G guards at most, L lashes, I inputs; see there.
-
-    In a batch of drivelines, offsets and weights have an axis more in front.
-    """
-
-    regimes: Records
-    contacts: Records
-    guards: Records
-    offsets: FloatArray
-    weights: FloatArray
-    leaders: IntArray
-    regime_strides: IntArray
-
-
 def build_tables(
     lashes: Lashes, staged: Sequence[StagedShaft], frictions: Sequence[Friction], batch: Sequence[int]
-) -> Tables:
-    """The tables of all combinations of states; batch : (D,) of a batch of drivelines, else ()."""
+) -> dict[str, Any]:
+    """The fields of `regimes.System` that are tables of all combinations of states.
+
+    batch : (D,) of a batch of drivelines, else ()
+    """
     count, stride = lashes.twists.shape[-2], functionals_of(lashes)
     constants = INPUTS + count - 1
     rates, rubbing = count * stride + len(staged), constants + len(staged)
@@ -361,7 +324,15 @@ def build_tables(
                 functionals.index(functionals[g]),
             )
             offsets[..., k, g, elements[e].input] = guard.offset
-    return Tables(regimes, contacts, guards, offsets, weights, np.array(leaders), strides)
+    return {
+        "regimes": regimes,
+        "contacts": contacts,
+        "guards": guards,
+        "offsets": offsets,
+        "weights": weights,
+        "leaders": np.array(leaders),
+        "regime_strides": strides,
+    }
 
 
 def _strides(counts: Sequence[int]) -> IntArray:

@@ -13,7 +13,6 @@ from clunk.simulation.driveline import Driveline, prepare
 from clunk.simulation.load import WAVES
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
-from clunk.study.designs import design_of_points
 from clunk.study.document import Place
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
@@ -59,15 +58,15 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     parameters : of str
         Dotted keys.
     values : (D, parameters) float64, in the keys' units
+        Such as a config may hold.
 
     Raises
     ------
     ConfigError
-        Where a value is not allowed.
+        Where breakpoints cross.
     """
     if not values.size:
         return
-    design_of_points(study, dict(zip(parameters, values.T, strict=True)))  # which refuses values that are not allowed
     keys = [located(study, parameter) for parameter in parameters]
     places = [place for place, _, _ in keys]
     # what is no spring, damper or friction where it is zero, no gear where it is 1, and whole numbers, make another

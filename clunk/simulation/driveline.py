@@ -14,9 +14,9 @@ from clunk.core import tables
 from clunk.core.batches import alike
 from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked
-from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, rubs
+from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system
 from clunk.core.status import Status
-from clunk.core.tables import Friction, StagedShaft, stages_of
+from clunk.core.tables import Friction, StagedShaft
 from clunk.simulation import rigid
 from clunk.simulation.load import run_load, wave_rates
 from clunk.simulation.phases import preload
@@ -169,7 +169,11 @@ class Driveline:
         twists = self.shafts @ angles
         energy = self.shaft_stiffness * twists**2 / 2.0
         for k, shaft in self.staged:
-            energy[k] = shaft.energy(float(twists[k]))
+            low, high = min(twists[k], 0.0), max(twists[k], 0.0)
+            nodes = np.unique(np.clip([0.0, *shaft.breakpoints, twists[k]], low, high))
+            stages = np.searchsorted(shaft.breakpoints, nodes)
+            torques = shaft.stiffness[stages] * nodes + shaft.torques[stages]
+            energy[k] = np.sign(twists[k]) * np.sum((torques[1:] + torques[:-1]) * np.diff(nodes)) / 2.0
         return np.asarray(energy)
 
     @cached_property
@@ -192,9 +196,8 @@ class Driveline:
     def modes(self, *, closed: bool) -> Modes:
         """Natural frequencies and damping ratios with all lashes closed or open; without stiffness they are locked."""
         rigid = closed & (self.contact_stiffnesses == 0.0)
-        rates, inputs = chain(self.inertia, *self.matrices(closed=closed), self.load)
         ties = constrained(self.lashes, rigid)
-        rates, _ = locked(rates, inputs, self.inertia, self.lashes, rigid)
+        rates = locked(chain(self.inertia, *self.matrices(closed=closed)), self.inertia, self.lashes, rigid)
         every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
         # a double zero, an undamped drift, is found to half the digits
         rounding = 1e-7 * np.abs(every).max(initial=0.0)
@@ -229,7 +232,7 @@ def explained(study: Study, status: Status) -> str:
         return status.sentence
     driveline = Driveline.from_study(study)
     for friction, shares in driveline.frictions:
-        if rubs(friction, driveline.rigid_motion):
+        if rigid.rubs(friction, driveline.rigid_motion):
             key = f"driveline.shafts[{int(np.flatnonzero(shares)[0]) + 1}]"
             return (
                 f"no steady motion before the load step: {key} slips as the driveline rolls, where its friction would "
@@ -253,6 +256,7 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
     rates = wave_rates(study.load, driveline.varied)
     is_ramp = study.load.profile in ("ramp", "table")
     staged, motions = [shaft for _, shaft in driveline.staged], driveline.rigid_motion.shape.shape[-1]
+    frictions = [friction for friction, _ in driveline.frictions]
     return build_system(
         inertia=driveline.inertia,
         chains=_chains(study, driveline),
@@ -264,7 +268,8 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
         ramps=is_ramp and ramps,
         staged=staged,
         loose=[driveline.in_stages(each).rigid_motion.shape.shape[-1] > motions for each in stages_of(staged)],
-        frictions=[friction for friction, _ in driveline.frictions],
+        frictions=frictions,
+        rubs=any(rigid.rubs(each, driveline.rigid_motion) for each in frictions),
     )
 
 
@@ -294,7 +299,7 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
 def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[FloatArray, FloatArray]]:
     """Damping and stiffness in each flow, without its constraints."""
     staged, is_rigid = [shaft for _, shaft in driveline.staged], study.lashes[0].contact.model == "restitution"
-    flows = tables.flows_of(len(study.lashes), staged, len(driveline.frictions))
+    flows = flows_of(len(study.lashes), staged, len(driveline.frictions))
     return {
         each: driveline.in_stages(each.stages).matrices(closed=False if is_rigid else each.closed) for each in flows
     }
@@ -312,15 +317,32 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
             parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
         ties = constrained(twists, [*(system.impulsive * lash for lash in closed), *stuck])
         chains.append(_chain(driveline.inertia, *of_flow, ties, parts))
-    held = tables.held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
+    held = held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
     rates, spans = wave_rates(study.load, driveline.varied), SPANS
     if rates is not None and alike(np.abs(rates).max(axis=(-2, -1)) * system.end_time[..., 0] > _FAST, 0):
         spans = MORE_SPANS
     states = system.rates.shape[-1] if rates is not None else 2 * system.inertias  # without a ramp that is no input
-    matrices = system.rates[..., :states, :states], system.inputs[..., :states, :]
-    return build_flows(
-        *matrices, system.functionals[..., :states], system.feedthrough, chains, held, system.drift, spans
-    )
+    return build_flows(system, chains, held, states, spans)
+
+
+def held_inputs(lashes: int, frictions: int, inputs: int) -> list[int]:
+    """The inputs that are the twists at which constraints hold: of `inputs`, those of each lash and friction."""
+    return [
+        *map(tables.half_gap_of, range(lashes)),
+        *(inputs - tables.OF_FRICTION * k + 1 for k in range(frictions, 0, -1)),
+    ]
+
+
+def stages_of(staged: Sequence[StagedShaft]) -> list[tuple[int, ...]]:
+    """The combinations of stages, one for each shaft, in the order in which regimes have them."""
+    return tables.combinations([shaft.stiffness.shape[-1] for shaft in staged])
+
+
+def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list[tables.FlowOf]:
+    """The flows of a driveline in the order of their numbers."""
+    shafts = lashes + len(staged)
+    every = tables.combinations([2] * lashes + [shaft.stiffness.shape[-1] for shaft in staged] + [2] * frictions)
+    return [tables.FlowOf(active[:lashes], active[lashes:shafts], active[shafts:]) for active in every]
 
 
 def _chain(

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
-from clunk.core.tables import TORQUE, half_gap_of, held_inputs
-from clunk.simulation.driveline import Driveline, build
+from clunk.core.tables import TORQUE, half_gap_of
+from clunk.simulation.driveline import Driveline, build, held_inputs
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import Regime, balanced, stretches
 from clunk.simulation.trajectory import Trajectory

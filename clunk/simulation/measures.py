@@ -4,8 +4,8 @@ import numpy as np
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, Channels, tabulate
 from clunk.core.regimes import System
-from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
-from clunk.simulation.driveline import Driveline
+from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, half_gap_of
+from clunk.simulation.driveline import Driveline, flows_of
 from clunk.study.arrays import Floats
 from clunk.study.models import part_of
 from clunk.study.study import Study

@@ -12,6 +12,7 @@ import numpy as np
 
 from clunk.core.batches import alike
 from clunk.core.regimes import RigidMotion
+from clunk.core.tables import Friction
 from clunk.study.arrays import Floats
 from clunk.study.errors import listing
 
@@ -74,6 +75,13 @@ def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Float
     else:
         accelerations = moved / np.sum(inertia * shape[..., 0] ** 2, axis=-1, keepdims=True)
     return RigidMotion(shape, speeds, accelerations, is_dragged)
+
+
+def rubs(friction: Friction, rigid: RigidMotion) -> bool:
+    """Whether a friction would slip in steady motion."""
+    return any(
+        alike(_twists(friction.twist[..., None, :], each)[..., 0] != 0.0, 0) for each in np.moveaxis(rigid.shape, -1, 0)
+    )
 
 
 def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str:

@@ -118,7 +118,7 @@ class Grid:
             self.tile_cells = min(self.tile_cells, _TILE_BATCHES * most_prepared(study))
         solver = study.solver
         is_slow = solver.method == "rk4" and solver.end_time > _FEW_STEPS * solver.step
-        self.few_cells = 0 if is_slow else min(_FEW, self.tile_cells)
+        self.few_cells = 0 if is_slow or self._is_large() else min(_FEW, self.tile_cells)
         self.pace: list[float] = []  # one number, or none
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
 
@@ -131,7 +131,13 @@ class Grid:
         self.shared()
         grid = object.__new__(type(self))
         grid.__dict__.update(self.__dict__ | {"design": design})
+        if grid._is_large():
+            grid.few_cells = 0
         return grid
+
+    def _is_large(self) -> bool:
+        """Whether there are so many drivelines that a batch of the first few would take long beside one of all."""
+        return bool(self.structural) and self.design.cells > _FEW
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order in which they are best cut into tiles: those of one system behind one another."""

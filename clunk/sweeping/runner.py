@@ -104,9 +104,10 @@ class Runner:
             )
         known = np.concatenate([values, self._allowed])
         ends = np.stack([known.min(axis=0), known.max(axis=0)])
-        if not np.array_equal(ends, self._allowed):
+        together = len(self.grid.structural) > 1  # two that are sound may not be so together
+        if together or not np.array_equal(ends, self._allowed):
             try:
-                design_of_points(self.study, dict(zip(self.keys, ends.T, strict=True)))
+                design_of_points(self.study, dict(zip(self.keys, (known if together else ends).T, strict=True)))
             except ConfigError:  # some point, or none but these two
                 design_of_points(self.study, dict(zip(self.keys, values.T, strict=True)))
             else:
