@@ -22,7 +22,7 @@ from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS,
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer, reference_at, rows_of
-from clunk.core.regimes import System, gap_input, speed_of
+from clunk.core.regimes import System, overlap_of, speed_of
 from clunk.core.rigid import held_with
 from clunk.core.runs import begin_wave, end_of_piece, piece_at, set_gaps, set_torque
 from clunk.core.severity import root_of_squares
@@ -201,9 +201,7 @@ def _add_event(
             room.of_impacts[row[other], ENERGY] += 0.5 * impulse * speeds
         return
     if event.kind in (SEPARATION, REJOIN) and row[lash] >= first[lash]:
-        overlap = -room.inputs[gap_input(lash)]
-        for j in range(system.inertias):
-            overlap += event.side * system.lashes[lash, system.inertias + j] * x[j]
+        overlap = overlap_of(system, lash, event.side, x, room.inputs)
         stored = 0.5 * channels.contact_stiffness[driveline, lash] * overlap**2
         room.of_impacts[row[lash], ENERGY] += stored if event.kind == SEPARATION else -stored
 

@@ -207,6 +207,15 @@ def speed_of(system: System, lash: int, x: FloatArray) -> float:
     return float(speed)
 
 
+@inlined_part
+def overlap_of(system: System, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> float:
+    """How far the flanks of a lash overlap on one side  [rad]."""
+    overlap = -inputs[gap_input(lash)]
+    for k in range(system.inertias):
+        overlap += side * system.lashes[lash, system.inertias + k] * x[k]
+    return float(overlap)
+
+
 @part
 def guard_of(system: System, regime: int, functional: int, sign: float) -> int:
     """The guard of a regime that is a functional of this sign and an offset, or -1."""

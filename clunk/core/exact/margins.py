@@ -17,13 +17,13 @@ from clunk.core.events import OPENING, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import rows
 from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, system_of
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import System, gap_input, lash_of, lashes_of
+from clunk.core.regimes import lash_of, lashes_of, overlap_of
 from clunk.core.rigid import holding_torque
 from clunk.core.runs import LEVEL, Moment, Start
 from clunk.core.sequence import is_primary, is_sticking
 from clunk.core.status import QUALITY_GRAZING, Status
 from clunk.core.switching import preload
-from clunk.core.tables import GAP, TORQUE, TORQUE_RATE
+from clunk.core.tables import TORQUE, TORQUE_RATE
 
 _OK = int(Status.OK)
 MOST = 0.25  # larger margins are not looked for, and written as this
@@ -54,18 +54,9 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
         if system.impulsive != 0:
             static = side * holding_torque(Moment(system, 0.0, x, inputs), regime, lash)[0]
         else:
-            static = _overlap(system, lash, side, x, inputs)
+            static = overlap_of(system, lash, side, x, inputs)
         space.static[slot, lash] = max(static, 0.0) if status == _OK else 0.0
     inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
-
-
-@inlined_part
-def _overlap(system: System, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> float:
-    """How far the flanks of a lash overlap on one side  [rad]."""
-    overlap = -inputs[gap_input(lash)]
-    for k in range(x.size):
-        overlap += side * system.functionals[0, lash * system.functionals_per_lash + GAP, k] * x[k]
-    return float(overlap)
 
 
 @inlined_part
@@ -80,7 +71,7 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
         _take(own, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
     elif is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
-        _take(own, max(_overlap(system, lash, guard.side, at.x, at.inputs), 0.0) / space.static[slot, lash])
+        _take(own, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / space.static[slot, lash])
 
 
 @inlined_part

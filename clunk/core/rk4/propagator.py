@@ -13,9 +13,8 @@ from clunk.core.tables import TORQUE, TORQUE_RATE
 # On a step of length h, |p(s)| exceeds its larger end value by at most max|p''| h²/8 <= |c2|/4 + 3|c3|/4 + 3|c4|/2
 # in the step's Taylor terms c_k = p_k h^k; these factors make that a plain sum.
 BEND = (1.0, 0.25, 0.75, 1.5)
-BLOCK = 4  # steps in one product: a third fewer operations a step than four products, and a quarter of their latency
-# steps in one product that tells nothing of what is between its ends, where a bound does: BLOCK times a power of 2
-STRIDE = 64
+STRIDE = 64  # steps in one product that tells nothing of what is between its ends, where a bound does: a power of 2
+IN_PLACE, STEP, STRIDES = range(3)  # tables of no step, which adds the outputs to a state, of one and of a stride
 _LANES = 8  # states and outputs are padded to whole SIMD blocks; `rk4.run` unrolls over one block of columns
 
 
@@ -23,26 +22,18 @@ class Steps(NamedTuple):
     """RK4's tables for one system; N states, I inputs, F functionals, K flows."""
 
     step: float  # s
-    # one full step, x -> (x, outputs); outputs are each functional's value and its Taylor terms of order 2, 3, 4 over
-    # the next step, times BEND
-    transfer: FloatArray  # (K, columns, rows)  rows contiguous
-    transfer_input: FloatArray  # (K, I, rows)
-    # BLOCK full steps at once, x -> (x, outputs at every step)
-    block: FloatArray  # (K, columns, rows)
-    block_input: FloatArray  # (K, I, rows)
-    # STRIDE full steps at once, x -> (x, outputs)
-    stride: FloatArray  # (K, columns, rows)
-    stride_input: FloatArray  # (K, I, rows)
-    observe: FloatArray  # (K, columns, outputs)
-    observe_input: FloatArray  # (K, I, outputs)
+    # x -> (x, outputs) by no step, one and a stride, rows contiguous; outputs are each functional's value and its
+    # Taylor terms of order 2, 3, 4 over the next step, times BEND
+    transfer: FloatArray  # (K, 3, columns, rows)
+    # what inputs add to these three, to coordinates y, less those of the steady motion, and to a functional's distance
+    # from its chord over a stride, with its sign
+    by_inputs: FloatArray  # (K, I, 3 rows + 2 M + F)
     # bounds on what follows, by the amplitudes of M pairs of coordinates, see `exact.flows`
     settles: IntArray  # (K,)  whether they bound all that follows
     strides: IntArray  # (K,)  whether they bound a stride
     mode_rows: FloatArray  # (K, columns, 2 M)  coordinates y of a state, of all pairs the one, then the other
-    mode_input: FloatArray  # (K, I, 2 M)  less those of the steady motion
     mode_reach: FloatArray  # (K, F, M)  largest change of a functional per unit amplitude of a pair
     mode_sag: FloatArray  # (K, F, M)  its largest distance from its chord over a stride, per unit amplitude
-    steady_sag: FloatArray  # (K, I, F)  and that of the steady motion, signed
     ramp_sag: FloatArray  # (K, 3, F)  and what a ramp adds, per unit of its torque and rate, then its change per rate
     rest_functional: FloatArray  # (K, F, I)
 
@@ -52,12 +43,12 @@ def build_steps(system: System, flows: Flows, step: float) -> tuple[System, Step
 
     flows : of the driveline, whose modes tell what can follow; of a load with ramps, without these
     """
-    stable, *bounds = _bounds(system, flows, step)
+    stable, of_y, of_sag, *bounds = _bounds(system, flows, step)
     # of 64 unstable steps, which no run takes, the tables may overflow: they are those of no step
-    propagator = _propagator(system.rates, system.inputs, system.functionals, system.feedthrough, step * stable)
+    transfer, inputs = _propagators(system, step * stable)
     if not stable:
         system = system._replace(status=int(Status.UNSTABLE_STEP))
-    return system, Steps(step, *propagator, *bounds)
+    return system, Steps(step, transfer, np.concatenate([inputs, of_y, of_sag], axis=-1), *bounds)
 
 
 def rk4_growth(eigenvalues: ComplexArray, step: float | FloatArray) -> FloatArray:
@@ -66,62 +57,39 @@ def rk4_growth(eigenvalues: ComplexArray, step: float | FloatArray) -> FloatArra
     return np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
 
 
-def _propagator(
-    rates: FloatArray, inputs: FloatArray, functionals: FloatArray, feedthrough: FloatArray, step: float
-) -> tuple[Any, ...]:
-    """One RK4 step as a matrix: the Taylor polynomial of exp(hA) to degree 4, identical to the four stages.
+def _propagators(system: System, step: float) -> tuple[FloatArray, FloatArray]:
+    """RK4 steps as matrices, (K, 3, columns, rows), and what the inputs add to them, (K, I, 3 rows).
 
-    The outputs of the next state are appended to it, so that stepping and watching are one product. Returns the fields
-    of `Steps` from `transfer` to `observe_input`.
+    One step is the Taylor polynomial of exp(hA) to degree 4, identical to the four stages. The outputs of the state
+    that it leads to are appended to it, so that stepping and watching are one product.
     """
-    (flows, size), driven = rates.shape[:2], inputs.shape[2]
-    identity = np.eye(size)
-    scaled = step * rates
-    integral = identity + scaled / 2 @ (identity + scaled / 3 @ (identity + scaled / 4))
-    across = identity + scaled @ integral
-    across_input = step * integral @ inputs
+    rates, inputs = step * system.rates, step * system.inputs
+    flows, size, driven = inputs.shape
+    identity = np.broadcast_to(np.eye(size), rates.shape)
+    integral = identity + rates / 2 @ (identity + rates / 3 @ (identity + rates / 4))
+    stride = power, power_input = identity + rates @ integral, integral @ inputs
+    for _ in range(STRIDE.bit_length() - 1):
+        stride = stride[0] @ stride[0], stride[0] @ stride[1] + stride[1]
 
-    orders = (0, 2, 3, 4)
-    count = functionals.shape[1]
-    output = np.zeros((flows, count, len(orders), size))
-    output_input = np.zeros((flows, count, len(orders), driven))
-    for k, order in enumerate(orders):
-        row, row_input = functionals, feedthrough
-        for derivative in range(1, order + 1):
-            row, row_input = step / derivative * row @ rates, step / derivative * row @ inputs
-        output[:, :, k], output_input[:, :, k] = BEND[k] * row, BEND[k] * row_input
-    rows: FloatArray = output.reshape(flows, -1, size)
-    rows_input: FloatArray = output_input.reshape(flows, -1, driven)
-
-    columns, outputs = _padded(size), rows.shape[1]
-    observe, observe_input = np.zeros((flows, columns, outputs)), rows_input.transpose(0, 2, 1).copy()
-    observe[:, :size] = rows.transpose(0, 2, 1)
-
-    def after(
-        first: tuple[FloatArray, FloatArray], then: tuple[FloatArray, FloatArray]
-    ) -> tuple[FloatArray, FloatArray]:
-        """The state after some steps and then others, x -> power x + power_input u."""
-        return then[0] @ first[0], then[0] @ first[1] + then[1]
-
-    def product(powers: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-        """(x after the last of some numbers of steps, outputs after each)."""
-        width = _padded(columns + len(powers) * outputs)
-        transfer, transfer_input = np.zeros((flows, columns, width)), np.zeros((flows, driven, width))
-        for k, (power, power_input) in enumerate(powers):
-            at = slice(columns + k * outputs, columns + (k + 1) * outputs)
-            transfer[:, :size, at] = (rows @ power).transpose(0, 2, 1)
-            transfer_input[:, :, at] = (rows @ power_input + rows_input).transpose(0, 2, 1)
-        transfer[:, :size, :size] = power.transpose(0, 2, 1)
-        transfer_input[:, :, :size] = power_input.transpose(0, 2, 1)
-        return transfer, transfer_input
-
-    powers = [(across, across_input)]
-    while len(powers) < BLOCK:
-        powers.append(after(powers[-1], powers[0]))
-    long, steps = powers[-1], BLOCK
-    while steps < STRIDE:
-        long, steps = after(long, long), 2 * steps
-    return *product(powers[:1]), *product(powers), *product([long]), observe, observe_input
+    terms = [(system.functionals, system.feedthrough)]
+    for order in range(1, 5):
+        terms.append((terms[-1][0] @ rates / order, terms[-1][0] @ inputs / order))
+    shown = [[bend * array for array in terms[order]] for bend, order in zip(BEND, (0, 2, 3, 4), strict=True)]
+    rows, rows_input = (
+        np.stack(arrays, axis=2).reshape(flows, -1, arrays[0].shape[-1]) for arrays in zip(*shown, strict=True)
+    )
+    columns = _padded(size)
+    width = _padded(columns + rows.shape[1])
+    transfer, by_inputs = np.zeros((flows, 3, columns, width)), np.zeros((flows, driven, 3, width))
+    seen = slice(columns, columns + rows.shape[1])
+    for k, (across, across_input) in enumerate([(identity, 0.0 * inputs), (power, power_input), stride]):
+        transfer[:, k, :size, :size], transfer[:, k, :size, seen] = (
+            across.swapaxes(-1, -2),
+            (rows @ across).swapaxes(-1, -2),
+        )
+        by_inputs[:, :, k, :size] = across_input.swapaxes(-1, -2)
+        by_inputs[:, :, k, seen] = (rows @ across_input + rows_input).swapaxes(-1, -2)
+    return transfer, by_inputs.reshape(flows, driven, -1)
 
 
 def _padded(count: int) -> int:
@@ -139,7 +107,7 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     parabola, and under a ramp a cubic: away from its chord by (n h)²/8 of its second derivative. A flow without modes
     has no such bounds.
 
-    Returns whether RK4 is stable, and the fields of `Steps` from `settles` on.
+    Returns whether RK4 is stable, what the inputs add to y and to a sag, and the fields of `Steps` from `settles` on.
     """
     states, size = flows.coordinates.shape[1], system.rates.shape[1]
     eigenvalues = np.linalg.eigvals(flows.generator).astype(np.complex128)
@@ -168,5 +136,6 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
         rows[:, states:size] = -steady[:, by_ramp]
         of_ramp[:, :2], of_ramp[:, 2] = bent[:, by_ramp], STRIDE * step * bends_on[:, TORQUE_RATE]
     by_member = (halves(array).swapaxes(-3, -2).reshape(array.shape) for array in (rows, -steady))
-    bounds = *by_member, reach.reshape(pairs), sag.reshape(pairs), bent, of_ramp
-    return stable, strides * flows.steady, strides, *bounds, flows.origin_output[:, 0].copy()
+    rows, by_inputs = by_member
+    bounds = rows, reach.reshape(pairs), sag.reshape(pairs), of_ramp
+    return stable, by_inputs, bent, strides * flows.steady, strides, *bounds, flows.origin_output[:, 0].copy()

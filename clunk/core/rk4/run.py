@@ -2,9 +2,9 @@
 
 On a linear regime a number of full steps is one precomputed matrix product. A stride of 64 is taken where the
 amplitudes of the modes bound how far guards and accelerations can be from their chords over it, and so show that no
-guard can turn negative, and no acceleration exceed its extremes (`_stride`). Else a block of four, whose product
-yields each guard's value at every step and a bound on how far it bends within the step (`_coast`). Where that does not
-show it either, and right after every event, a step is expanded into its quartics, zeros are located by bisection, and
+guard can turn negative, and no acceleration exceed its extremes. Else one step, whose product yields each guard's value
+and a bound on how far it bends within the step (`_coast`). Where that does not show it either, and right after every
+event, a step is expanded into its quartics, zeros are located by bisection, and
 the rest of the step is finished in the successor regime, so that the time grid stays at multiples of the step. Where
 another piece of the load begins, a step is cut short, and the grid begins anew.
 """
@@ -17,7 +17,7 @@ from clunk.core.arrays import FloatArray, StopFlag
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, frictions_of, lashes_of, turn_back
 from clunk.core.rk4 import quartic
-from clunk.core.rk4.propagator import BEND, BLOCK, STRIDE, Steps
+from clunk.core.rk4.propagator import BEND, IN_PLACE, STEP, STRIDE, STRIDES, Steps
 from clunk.core.rk4.step import Room, enter, expand, finish, first_event, widen_extremes
 from clunk.core.runs import (
     BEGIN,
@@ -92,11 +92,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         roll_states(system, rolled, log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)
-        _combine(steps.transfer_input[flow], room.weighed, room.affine)
-        _combine(steps.block_input[flow], room.weighed, room.block_affine)
-        _combine(steps.stride_input[flow], room.weighed, room.stride_affine)
-        _combine(steps.mode_input[flow], room.weighed, room.modes_affine)
-        _combine(steps.steady_sag[flow], room.weighed, room.steady_sag)
+        _combine(steps.by_inputs[flow], room.weighed, room.by_inputs)
         extremes = log.extremes[entry.written - 1]
         while True:
             length, spanned = _next_length(grid, index, offset)
@@ -114,9 +110,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             # full steps as long as nothing can happen in them
             for k in range(x.size):
                 room.z[k] = x[k]
-            outputs = room.z[steps.transfer.shape[1] :][: steps.observe.shape[2]]
-            _combine(steps.observe_input[flow], room.weighed, outputs)
-            _add(steps.observe[flow], x, outputs)
+            _advance(steps.transfer[flow, IN_PLACE], room.affine[IN_PLACE], room.z, room.after)
+            _take(room)
             clear, over = True, False
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
@@ -224,12 +219,6 @@ def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
 def _combine(weights: FloatArray, numbers: FloatArray, out: FloatArray) -> None:
     """out = weightsᵀ numbers."""
     out[:] = 0.0
-    _add(weights, numbers, out)
-
-
-@part
-def _add(weights: FloatArray, numbers: FloatArray, out: FloatArray) -> None:
-    """Add weightsᵀ numbers to `out`."""
     for k in range(numbers.size):
         for r in range(out.size):
             out[r] += weights[k, r] * numbers[k]
@@ -237,7 +226,7 @@ def _add(weights: FloatArray, numbers: FloatArray, out: FloatArray) -> None:
 
 @inlined_part
 def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray) -> None:
-    """out = affine + transfer z: one full step. Summed in pairs, eight columns at a time, which LLVM vectorises."""
+    """out = affine + transferᵀ z. Summed in pairs, eight columns at a time, which LLVM vectorises."""
     x0, x1, x2, x3, x4, x5, x6, x7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
     for r in range(affine.size):
         out[r] = affine[r] + (
@@ -260,110 +249,74 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
 def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, extremes: FloatArray) -> int:
     """Take up to `budget` full steps, and return how many: it stops before one in which a guard might turn negative.
 
-    On a step, a guard is at least the smaller of its end values less its bend (see `propagator.BEND`); the same bounds
-    the acceleration's excess over its end values. Steps go by the stride; by the block where a stride is in doubt, and
-    one by one where a block is.
+    On its way, a functional is beyond its end values by no more than its sag: on a step its bend (see
+    `propagator.BEND`), on a stride what the amplitudes of modes bound. Where a stride is in doubt, or may change
+    extremes, steps go one by one.
 
     extremes : (L, 2) float64  [rad/s2]
         Of each lash's acceleration, updated.
     """
-    row = system.regimes[regime]
-    transfer, block, z, after = steps.transfer[row.flow], steps.block[row.flow], room.z, room.after
-    columns, outputs, lashes = transfer.shape[0], steps.observe.shape[2], lashes_of(system)
-    taken = in_doubt = 0  # steps so far, and up to where they go one by one
-    no_stride = 0 if steps.strides[row.flow] != 0 else budget  # up to where they go by the block
+    row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
+    columns, lashes, taken = steps.transfer.shape[2], lashes_of(system), 0
+    next_stride = 0 if steps.strides[row.flow] != 0 else budget  # not before so many steps
     while taken < budget:
-        if no_stride <= taken <= budget - STRIDE:
-            if _stride(system, steps, regime, room, extremes):
-                for k in range(columns + outputs):
-                    z[k] = after[k]
-                taken += STRIDE
-                continue
-            no_stride = taken + _BEFORE_NEXT_STRIDE
-        count = BLOCK if in_doubt <= taken <= budget - BLOCK else 1
-        if count == BLOCK:
-            _advance(block, room.block_affine, z, after)
+        is_stride = next_stride <= taken <= budget - STRIDE
+        if is_stride:
+            _bound_stride(steps, row.flow, 2 * system.inertias, room)
         else:
-            _advance(transfer, room.affine, z, after)
-        if not _clears(room, row.guards, columns, outputs, z, after, count):
-            if count == 1:
-                break
-            in_doubt = taken + BLOCK
-            continue
-        for lash in range(lashes):
-            at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
-            _watch(z, after, at, outputs, count, extremes[lash])
-        for k in range(columns):
-            z[k] = after[k]
-        last = columns + (count - 1) * outputs
-        for k in range(outputs):
-            z[columns + k] = after[last + k]
-        taken += count
+            for functional in range(sag.size):
+                sag[functional] = _bend(z, columns + 4 * functional)
+        clear = _guards_exceed(room, row.guards, columns, z)
+        if clear:
+            table = STRIDES if is_stride else STEP
+            _advance(steps.transfer[row.flow, table], room.affine[table], z, after)
+            clear = _guards_exceed(room, row.guards, columns, after)
+        for lash in range(lashes if clear and (not is_stride or system.impulsive == 0) else 0):
+            functional = lash * system.functionals_per_lash + ACCELERATION
+            at, own = columns + 4 * functional, extremes[lash]
+            if max(z[at], after[at]) + sag[functional] > own[0] or min(z[at], after[at]) - sag[functional] < own[1]:
+                clear = not is_stride
+                if clear:
+                    _watch(z, after, at, own)
+        if clear:
+            _take(room)
+            taken += STRIDE if is_stride else 1
+        elif is_stride:
+            next_stride = taken + _BEFORE_NEXT_STRIDE
+        else:
+            break
     return taken
 
 
 @inlined_part
-def _stride(system: System, steps: Steps, regime: int, room: Room, extremes: FloatArray) -> bool:
-    """Take a stride from `room.z` to `room.after`; return whether no guard turns negative, nor an extreme is in it."""
-    row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
-    columns, ramp, wave = steps.stride.shape[1], steps.ramp_sag[row.flow], 2 * system.inertias
+def _take(room: Room) -> None:
+    """Take a step or a stride: from `room.z` to `room.after`."""
+    for k in range(room.z.size):
+        room.z[k] = room.after[k]
+
+
+@inlined_part
+def _bound_stride(steps: Steps, flow: int, wave: int, room: Room) -> None:
+    """Set `room.reach` to how far functionals can be from their chords over a stride from `room.z`.
+
+    wave : where in a state the load's begins
+    """
+    ramp, sag, z = steps.ramp_sag[flow], room.reach, room.z
     for which in range(sag.size):
         sag[which] = abs(room.steady_sag[which])
         if ramp.shape[0] > 0:
             steady = room.steady_sag[which] + ramp[0, which] * z[wave] + ramp[1, which] * z[wave + 1]
             sag[which] = abs(steady) + abs(ramp[2, which] * z[wave + 1])
-    _reach(steps.mode_rows[row.flow], steps.mode_sag[row.flow], room)
-    if not _guards_exceed(room, row.guards, columns, z):
-        return False
-    _advance(steps.stride[row.flow], room.stride_affine, z, after)
-    if not _guards_exceed(room, row.guards, columns, after):
-        return False
-    for lash in range(lashes_of(system) if system.impulsive == 0 else 0):
-        which = lash * system.functionals_per_lash + ACCELERATION
-        a, b = z[columns + 4 * which], after[columns + 4 * which]
-        if not (max(a, b) + sag[which] <= extremes[lash, 0] and min(a, b) - sag[which] >= extremes[lash, 1]):
-            return False
-    return True
+    _reach(steps.mode_rows[flow], steps.mode_sag[flow], room)
 
 
 @inlined_part
 def _guards_exceed(room: Room, guards: int, columns: int, z: FloatArray) -> bool:
-    """Whether all guards exceed their sag, in `room.reach`, at one end of a stride; not where one is not a number."""
+    """Whether all guards exceed their sag, in `room.reach`, at one end of a step; not where one is not a number."""
     for g in range(guards):
         if not room.sign[g] * z[columns + room.at[g]] + room.shift[g] > room.reach[room.at[g] // 4]:
             return False
     return True
-
-
-@inlined_part
-def _clears(room: Room, guards: int, columns: int, outputs: int, z: FloatArray, after: FloatArray, steps: int) -> bool:
-    """Whether no guard can turn negative in the steps from `z` to `after`; not where one is not a number."""
-    for g in range(guards):
-        at, sign, shift = columns + room.at[g], room.sign[g], room.shift[g]
-        low, bend = np.inf, _bend(z, at)
-        for k in range(steps):
-            low = min(low, sign * after[at + k * outputs] + shift)
-            if k + 1 < steps:
-                bend = max(bend, _bend(after, at + k * outputs))
-        low = min(low, sign * z[at] + shift)
-        if not low > bend:
-            return False
-    return True
-
-
-@inlined_part
-def _watch(z: FloatArray, after: FloatArray, at: int, outputs: int, steps: int, extremes: FloatArray) -> None:
-    """Update an acceleration's extremes by the steps from `z` to `after`: in whose bend they may lie, one by one."""
-    high, low, bend = z[at], z[at], _bend(z, at)
-    for k in range(steps):
-        high, low = max(high, after[at + k * outputs]), min(low, after[at + k * outputs])
-        if k + 1 < steps:
-            bend = max(bend, _bend(after, at + k * outputs))
-    if high + bend > extremes[0] or low - bend < extremes[1]:
-        _watch_step(z, after, at, at, extremes)
-        for k in range(steps - 1):
-            begin = at + k * outputs
-            _watch_step(after, after, begin, begin + outputs, extremes)
 
 
 @inlined_part
@@ -372,13 +325,9 @@ def _bend(z: FloatArray, at: int) -> float:
 
 
 @inlined_part
-def _watch_step(before: FloatArray, after: FloatArray, begin: int, end: int, extremes: FloatArray) -> None:
-    """Update an acceleration's extremes by one step from `before[begin]` to `after[end]`."""
-    a, next_a = before[begin], after[end]
-    largest, smallest = max(extremes[0], next_a), min(extremes[1], next_a)
-    bend = _bend(before, begin)
-    if max(a, next_a) + bend > largest or min(a, next_a) - bend < smallest:
-        c2, c3, c4 = before[begin + 1] / BEND[1], before[begin + 2] / BEND[2], before[begin + 3] / BEND[3]
-        high, low = quartic.extremes((a, next_a - a - c2 - c3 - c4, c2, c3, c4), 1.0)
-        largest, smallest = max(largest, high), min(smallest, low)
-    extremes[0], extremes[1] = largest, smallest
+def _watch(z: FloatArray, after: FloatArray, at: int, extremes: FloatArray) -> None:
+    """Update an acceleration's extremes by those on one step from `z` to `after`, where it is output `at`."""
+    a, next_a = z[at], after[at]
+    c2, c3, c4 = z[at + 1] / BEND[1], z[at + 2] / BEND[2], z[at + 3] / BEND[3]
+    high, low = quartic.extremes((a, next_a - a - c2 - c3 - c4, c2, c3, c4), 1.0)
+    extremes[0], extremes[1] = max(extremes[0], next_a, high), min(extremes[1], next_a, low)

@@ -29,21 +29,21 @@ class Room(NamedTuple):
     shift: FloatArray  # (G,)
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
     # full steps
-    affine: FloatArray  # what the inputs add to a step
-    block_affine: FloatArray  # and to a block of them
-    stride_affine: FloatArray  # and to a stride
-    modes_affine: FloatArray  # and to modal coordinates
-    steady_sag: FloatArray  # (F,)  of the steady motion over a stride
-    z: FloatArray  # the state, padded, and its outputs
-    after: FloatArray  # the same after a step or a block
+    by_inputs: FloatArray  # what the inputs add in the phase to all that follows, see `Steps`:
+    affine: FloatArray  # (3, rows)  to no step, one and a stride
+    modes_affine: FloatArray  # (2 M,)  to coordinates y
+    steady_sag: FloatArray  # (F,)  to the sag of functionals over a stride
+    z: FloatArray  # (rows,)  the state, padded, and its outputs
+    after: FloatArray  # (rows,)  the same after a step or a stride
     # scratch of what bounds all that follows
-    modes: FloatArray  # (2 M,)  modal coordinates
-    reach: FloatArray  # (F,)
+    modes: FloatArray  # (2 M,)  coordinates y
+    reach: FloatArray  # (F,)  of functionals, or their sag
 
 
 def make_room(system: System, steps: Steps) -> Room:
     """Room for runs, one after the other."""
-    width, of_block, of_modes = steps.transfer.shape[2], steps.block.shape[2], steps.mode_rows.shape[2]
+    width, of_modes, by_inputs = steps.transfer.shape[3], steps.mode_rows.shape[2], np.empty(steps.by_inputs.shape[2])
+    affine, of_y, sag = np.split(by_inputs, np.cumsum([3 * width, of_modes]))
     most, driven = system.guards.shape[1], system.weights.shape[1]
     return Room(
         inputs=np.empty(driven),
@@ -53,13 +53,12 @@ def make_room(system: System, steps: Steps) -> Room:
         sign=np.empty(most),
         shift=np.empty(most),
         taylor=np.empty((5, system.lashes.shape[1])),
-        affine=np.empty(width),
-        block_affine=np.empty(of_block),
-        stride_affine=np.empty(width),
-        modes_affine=np.empty(of_modes),
-        steady_sag=np.empty(system.functionals.shape[1]),
+        by_inputs=by_inputs,
+        affine=affine.reshape(3, width),
+        modes_affine=of_y,
+        steady_sag=sag,
         z=np.empty(width),
-        after=np.zeros(of_block),
+        after=np.empty(width),
         modes=np.empty(of_modes),
         reach=np.empty(system.functionals.shape[1]),
     )
