@@ -103,12 +103,12 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     if ended < 0 and fits(at, regime, resting_on, locked):
         return regime, -1, 0
     for k in range(count):
-        rests = k == event or sticking >> k & 1 != 0
-        if not rests:
+        if not (k == event or sticking >> k & 1):
             rate, most = _rate(system, system.frictions[k], 0.0, x)
-            _, speeds_up = change_of(at, regime, system.frictions[k])
-            rests = abs(rate) <= _WITHIN * (most + speeds_up * at.time)  # no rate is known better than its time
-        resting |= rests << k
+            most += change_of(at, regime, system.frictions[k])[1] * at.time  # no rate is known better than its time
+            if abs(rate) > _WITHIN * most:
+                continue
+        resting |= 1 << k
     failed = regime if ended >= 0 and event < 0 else -1
     best = _fitting(at, resting_on, failed, event, resting, locked)
 
