@@ -32,7 +32,7 @@ def measure(work, size, amplitudes):
 
 @compiled
 def jump(propagated, work, size):
-    moving.jump(propagated, work, size)
+    moving.move_modes(propagated, False, vectors.splat(0.0), work, size)
 
 
 @compiled

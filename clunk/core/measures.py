@@ -72,12 +72,12 @@ def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray,
     """
     system, channels = batch.system, batch.channels
     assert channels is not None
-    size, count, lashes = channels.rates.shape[-1], channels.series.shape[2], system.lashes.shape[0]
+    size, count, lashes = channels.rates.shape[-1], channels.series.shape[2], system.lash_count
     room = Room(
         z=np.zeros(size),
         moved=np.zeros((2, size)),
         series=np.zeros((count, TERMS)),
-        inputs=np.ones(system.weights.shape[1]),
+        inputs=np.ones(system.input_count),
         ranges=np.zeros((count, 2)),
         first=np.zeros(lashes + 1, np.int64),
         row=np.zeros(lashes, np.int64),
@@ -122,7 +122,7 @@ def _measure(
     totals: FloatArray,
 ) -> None:
     """Measure the run of cell k, of one of the drivelines."""
-    size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, 0, system.lashes.shape[0]
+    size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, 0, system.lash_count
     x, shortest, load = room.z[:size], INSTANT if lashes > 1 else 0.0, cases.loads[k % cases.loads.shape[0]]
     events, written = output.logs[k], 0
     while written < events.size and not np.isnan(events[written].time):
@@ -218,7 +218,7 @@ def _are_one_impact(events: Records, states: FloatArray, e: int) -> bool:
 @part
 def _follow(system: System, channels: Channels, driveline: int, regime: int, span: float, room: Room) -> None:
     """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
-    z, lashes = room.z, system.lashes.shape[0]
+    z, lashes = room.z, system.lash_count
     flow, elapsed = system.regimes[regime].flow, 0.0
     length, rows = channels.lengths[driveline, flow], channels.series[driveline, flow]
     while elapsed < span:

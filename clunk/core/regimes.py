@@ -60,6 +60,10 @@ class System(NamedTuple):
     functionals_per_lash: int
     lashes: FloatArray  # (L, N)  q' = lashes · x
     inertias: int  # n
+    lash_count: int  # L
+    friction_count: int  # M
+    input_count: int  # I
+    element_count: int  # E
     ramps: int  # whether the torque's rate of change is an input: exact, loads with ramps; rk4 has them in the wave
     # the regimes
     regimes: Records  # (R,) REGIME
@@ -126,30 +130,6 @@ def driveline_at(systems: System, index: Positions | list[int] | int | None) -> 
 gap_input = inlined_part(half_gap_of)
 
 
-@inlined_part
-def lashes_of(system: System) -> int:
-    """The number of lashes."""
-    return int(system.lashes.shape[0])
-
-
-@inlined_part
-def elements_of(system: System) -> int:
-    """The number of lashes, staged shafts and frictions."""
-    return int(system.regime_strides.size - 1)
-
-
-@inlined_part
-def inputs_of(system: System) -> int:
-    """The number of inputs."""
-    return int(system.weights.shape[1])
-
-
-@inlined_part
-def frictions_of(system: System) -> int:
-    """The number of frictions."""
-    return int(system.frictions.shape[0])
-
-
 @part
 def roll(system: System, angle: float, x: FloatArray) -> None:
     """Turn a state by an angle of the first inertia that rolls  [rad]."""
@@ -174,19 +154,19 @@ def state_of_friction(system: System, regime: int, friction: int) -> int:
 @inlined_part
 def stride_of_friction(system: System, friction: int) -> int:
     """By how much a regime's number changes with the state of a friction."""
-    return int(system.regime_strides[system.regime_strides.size - 1 - system.frictions.shape[0] + friction])
+    return int(system.regime_strides[system.element_count - system.friction_count + friction])
 
 
 @inlined_part
 def input_of_friction(system: System, friction: int) -> int:
     """The input that is 1 for a friction; the one behind it is the twist at which it sticks."""
-    return int(system.weights.shape[1] - OF_FRICTION * (system.frictions.shape[0] - friction))
+    return int(system.input_count - OF_FRICTION * (system.friction_count - friction))
 
 
 @inlined_part
 def rate_of_friction(system: System, friction: int) -> int:
     """The functional that is the rate of twist of a friction; the one behind it is the torque that holds it."""
-    return int(system.functionals.shape[1] - OF_FRICTION * (system.frictions.shape[0] - friction))
+    return int(system.functionals.shape[1] - OF_FRICTION * (system.friction_count - friction))
 
 
 @inlined_part
@@ -401,6 +381,10 @@ def build_system(
         functionals_per_lash=stride,
         lashes=joints[..., :count, :],
         inertias=n,
+        lash_count=count,
+        friction_count=len(frictions),
+        input_count=driven,
+        element_count=count + len(staged) + len(frictions),
         ramps=int(ramps),
         **tables,
         impulsive=int(impulsive),

@@ -15,11 +15,9 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
     ROUNDING,
     System,
-    frictions_of,
     gap_input,
     guard_of,
     lash_of,
-    lashes_of,
     opened,
     speed_of,
 )
@@ -50,7 +48,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     held = held_with(system, regime, lash)
     if held != 0 and abs(speed) > slowest:
         held = _held_through(system, regime, lash, side, at.inputs)
-    for other in range(lashes_of(system)):
+    for other in range(system.lash_count):
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
             _part_by(ROUNDING, at, held, other, system.contacts[before, other].side)
             regime = opened(system, regime, other)
@@ -63,13 +61,13 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
         if not rebounds:
             _hold(system, resting, touch.lash, x, touch.side * at.inputs[gap_input(touch.lash)])
         touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
-    if frictions_of(system) > 0:
+    if system.friction_count > 0:
         regime = rubbing.in_motion(system, regime, abs(speed), x)
         rubbing.stick_all(system, x, at.inputs)
     for touch in touches:
         record(at, log, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
         count += 1
-    for other in range(lashes_of(system)):
+    for other in range(system.lash_count):
         if system.contacts[before, other].closed != 0 and not held >> other & 1:
             record(at, log, count, 0.0, SEPARATION, regime, other, system.contacts[before, other].side)
             count += 1
@@ -90,7 +88,7 @@ def _note_touches_beside(
     Returns how many events there are then.
     """
     system, events = at.system, log.events
-    for other in range(lashes_of(system)):
+    for other in range(system.lash_count):
         twist, size = rubbing.twist_of(system, system.lashes[other], at.x)
         its_speed = speed_of(system, other, at.x)
         gap = abs(at.inputs[gap_input(other)] - twist * np.sign(its_speed))
@@ -135,12 +133,12 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
     Without a gap, there is a flank on either side.
     """
     closed, always = held_with(system, regime, lash), 0  # those with a flank on either side
-    for other in range(lashes_of(system)):
+    for other in range(system.lash_count):
         always |= (closed >> other & 1 and inputs[gap_input(other)] <= 0.0) << other
     held = closed
     while held > always:
         fits = held & always == always
-        for other in range(lashes_of(system)):
+        for other in range(system.lash_count):
             if fits and closed >> other & 1 and not always >> other & 1:
                 pressing = side * system.contacts[regime, other].side
                 if held >> other & 1:
@@ -163,7 +161,7 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
 def held_with(system: System, regime: int, lash: int) -> int:
     """The closed lashes of a regime, as bits, but for one; -1 for none."""
     held = 0
-    for other in range(lashes_of(system)):
+    for other in range(system.lash_count):
         held |= (other != lash and system.contacts[regime, other].closed != 0) << other
     return held
 
@@ -202,7 +200,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     """
     system, before = at.system, _resting_on(at, log, regime, count)
     successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         is_closed = system.contacts[successor, lash].closed != 0
         if touched >> lash & 1 and (is_closed or rubbing.is_carried(at, successor, lash)):
             record(at, log, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
@@ -219,7 +217,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
 def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
     """The regime with those lashes closed that have not separated, as the log tells, and whose flanks others hold."""
     system, events = at.system, log.events
-    for lash in range(lashes_of(system) if frictions_of(system) > 0 and system.impulsive != 0 else 0):
+    for lash in range(system.lash_count if system.friction_count > 0 and system.impulsive != 0 else 0):
         if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(at, regime, lash):
             last = count - 1
             while last > 0 and events[last].lash != lash:
@@ -240,7 +238,7 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
     system, x, count, first = at.system, at.x, entry.written, -1
     held = held_with(system, entry.regime, -1)
     stays = held | touched
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         side = system.contacts[before, lash].side
         if system.contacts[before, lash].closed == 0 or held >> lash & 1:
             continue
@@ -253,7 +251,7 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
         if is_carried:
             rubbing.stick_all(system, x, at.inputs)
             stays |= 1 << lash
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         contact = system.contacts[before, lash]
         if contact.closed != 0 and not stays >> lash & 1:
             record(at, log, count, 0.0, SEPARATION, entry.regime, lash, contact.side)

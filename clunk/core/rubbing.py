@@ -22,11 +22,9 @@ from clunk.core.arrays import FloatArray
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
     System,
-    frictions_of,
     gap_input,
     guard_of,
     input_of_friction,
-    lashes_of,
     opened,
     rate_of_friction,
     state_of_friction,
@@ -55,7 +53,7 @@ _MOMENT = 1e-3  # s, of the acceleration's terms, which say what that could be w
 @part
 def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
     """Set the twists at which frictions stick, inputs of a run, to those of a state  [rad]."""
-    for k in range(frictions_of(system)):
+    for k in range(system.friction_count):
         inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
 
 
@@ -66,7 +64,7 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
     speed : float  [rad/s]
         Of an impact before, of which rates have the rounding.
     """
-    for k in range(frictions_of(system)):
+    for k in range(system.friction_count):
         state, (rate, most) = STICKS, _rate(system, system.frictions[k], speed, x)
         if abs(rate) > _WITHIN * most:
             state = SLIPS_FORWARD if rate > 0.0 else SLIPS_BACKWARD
@@ -95,10 +93,10 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         without any.
     """
     system, x, inputs = at.system, at.x, at.inputs
-    count, event, resting, locked, sticking = frictions_of(system), -1, 0, 0, _sticking_in(system, regime)
+    count, event, resting, locked, sticking = system.friction_count, -1, 0, 0, _sticking_in(system, regime)
     if ended >= 0:  # functionals of frictions are the last
         event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
-    for lash in range(lashes_of(system) if system.impulsive != 0 else 0):  # one without a gap has always a flank
+    for lash in range(system.lash_count if system.impulsive != 0 else 0):  # one without a gap has always a flank
         locked |= (system.contacts[resting_on, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
     if ended < 0 and fits(at, regime, resting_on, locked):
         return regime, -1, 0
@@ -142,17 +140,17 @@ def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
 @inlined_part
 def _sticking_in(system: System, regime: int) -> int:
     """The frictions that stick in a regime, as bits: whether they do comes last in the number of its flow."""
-    return int(system.regimes[regime].flow // (system.rates.shape[0] >> frictions_of(system)))
+    return int(system.regimes[regime].flow // (system.rates.shape[0] >> system.friction_count))
 
 
 @part
 def _misfits(at: Moment, regime: int, before: int, locked: int, resting: int) -> float:
     """By how much some lashes and frictions at rest, as bits, miss their states in a regime, in sum; as `_misfit`."""
     misfit = 0.0
-    for lash in range(lashes_of(at.system)):
+    for lash in range(at.system.lash_count):
         if locked >> lash & 1:
             misfit += _misfit_of_flanks(at, regime, before, lash)
-    for k in range(frictions_of(at.system)):
+    for k in range(at.system.friction_count):
         if resting >> k & 1:
             misfit += _misfit(at, regime, k)
     return misfit
@@ -171,13 +169,13 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
     resting, locked : int
         The frictions and the lashes at rest, as bits.
     """
-    system, count, combinations = at.system, frictions_of(at.system), 1
+    system, count, combinations = at.system, at.system.friction_count, 1
     for k in range(count):
         combinations *= 3 if resting >> k & 1 else 1
     least, best, closed = np.inf, regime, locked
     while closed >= 0:
         base = regime
-        for lash in range(lashes_of(system)):
+        for lash in range(system.lash_count):
             if (locked & ~closed) >> lash & 1:
                 base = opened(system, base, lash)
         for number in range(combinations):
@@ -273,27 +271,26 @@ def _total(at: Moment, regime: int, by_state: FloatArray, by_inputs: FloatArray)
 def holding_slope(at: Moment, regime: int, functional: int) -> tuple[float, float]:
     """The rate of change of `holding`, and the sum of its terms' magnitudes  [N m/s]."""
     system, flow = at.system, at.system.regimes[regime].flow
-    value, size = change_of(at, regime, system.functionals[flow, functional])
-    by_load = system.feedthrough[flow, functional, TORQUE] * at.inputs[TORQUE_RATE]
+    return _slope(at, regime, system.functionals[flow, functional], system.feedthrough[flow, functional])
+
+
+@part
+def _slope(at: Moment, regime: int, by_state: FloatArray, by_inputs: FloatArray) -> tuple[float, float]:
+    """The rate of change of `_total`, and the sum of its terms' magnitudes."""
+    value, size = change_of(at, regime, by_state)
+    by_load = by_inputs[TORQUE] * at.inputs[TORQUE_RATE]
     return value + by_load, size + abs(by_load)
 
 
 @part
 def change_of(at: Moment, regime: int, weights: FloatArray) -> tuple[float, float]:
     """The rate of change in a regime of weights (N,) times the state, and the sum of its terms' magnitudes."""
-    value, size = 0.0, 0.0
+    system, flow, value, size = at.system, at.system.regimes[regime].flow, 0.0, 0.0
     for k in range(at.x.size):
         if weights[k] != 0.0:
-            change, terms = _change(at, regime, k)
+            change, terms = _total(at, regime, system.rates[flow, k], system.inputs[flow, k])
             value, size = value + weights[k] * change, size + abs(weights[k]) * terms
     return value, size
-
-
-@part
-def _change(at: Moment, regime: int, k: int) -> tuple[float, float]:
-    """The rate of change of state `k` in a regime, and the sum of its terms' magnitudes."""
-    system, flow = at.system, at.system.regimes[regime].flow
-    return _total(at, regime, system.rates[flow, k], system.inputs[flow, k])
 
 
 @part
@@ -303,10 +300,7 @@ def _jerk(at: Moment, regime: int, friction: int) -> float:
     for k in range(system.inertias, 2 * system.inertias):
         weight = system.frictions[friction, k]
         if weight != 0.0:
-            value += weight * system.inputs[flow, k, TORQUE] * at.inputs[TORQUE_RATE]
-            for j in range(at.x.size):
-                if system.rates[flow, k, j] != 0.0:
-                    value += weight * system.rates[flow, k, j] * _change(at, regime, j)[0]
+            value += weight * _slope(at, regime, system.rates[flow, k], system.inputs[flow, k])[0]
     return value
 
 
@@ -350,7 +344,7 @@ def is_carried(at: Moment, regime: int, lash: int) -> bool:
     rests = half_gap - abs(twist) <= _WITHIN * (half_gap + size)
     rate, most = _rate(system, system.lashes[lash], 0.0, at.x)
     held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
-    return bool(frictions_of(system) > 0 and held and rests and abs(rate) <= _WITHIN * most)
+    return bool(system.friction_count > 0 and held and rests and abs(rate) <= _WITHIN * most)
 
 
 @part

@@ -6,7 +6,7 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray, Records
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import System, gap_input, lashes_of, roll
+from clunk.core.regimes import System, gap_input, roll
 from clunk.core.sequence import take_event
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
@@ -84,7 +84,7 @@ def end_of_piece(system: System, load: FloatArray, piece: int) -> float:
 @inlined_part
 def set_gaps(system: System, before: FloatArray, inputs: FloatArray) -> None:
     """Set the half gaps, in the inputs d of a run, to those before the load step."""
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         inputs[gap_input(lash)] = before[gap_input(lash)]
 
 
@@ -118,7 +118,6 @@ def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, l
     event.lash = lash
     event.side = side
     event.primary = int(lash >= 0 and take_event(log.courses[lash], event, at.system.sticking_time[lash]))
-    begin_windows(log, k)
     if log.states.shape[0] > k:
         for j in range(at.x.size):
             log.states[k, j] = at.x[j]

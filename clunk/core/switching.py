@@ -12,13 +12,9 @@ from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
 from clunk.core.regimes import (
     System,
-    elements_of,
-    frictions_of,
     gap_input,
     guard_of,
-    inputs_of,
     lash_of,
-    lashes_of,
     speed_of,
     turn_back,
 )
@@ -65,7 +61,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         Output, whatever the status.
     """
     system = refer(system)
-    lashes, stages = lashes_of(system), system.preload.shape[0]
+    lashes, stages = system.lash_count, system.preload.shape[0]
     status = _NO_INITIAL_FLANK if stages == 1 else _NO_EQUILIBRIUM
     for regime in range(stages * system.regime_strides[lashes]):
         stage, closed, presses = regime // system.regime_strides[lashes], True, True
@@ -92,7 +88,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
 def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) -> float:
     """What inputs amount to in a regime, each by its weight there and by so much; those not given are 1."""
     total = by[0] * inputs[0]
-    for k in range(1, inputs_of(system)):
+    for k in range(1, system.input_count):
         total += by[k] * (system.weights[regime, k] * (inputs[k] if k < inputs.size else 1.0))
     return float(total)
 
@@ -108,7 +104,7 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
         guard = system.guards[regime, g]
         if guard.event_kind == STAGE and guard.successor >= 0:  # what follows where a friction's ends is not known
             value = -BEYOND
-            for k in range(inputs_of(system)):
+            for k in range(system.input_count):
                 value += system.offsets[regime, g, k]
             scale = abs(value)  # of the breakpoint, with its sign in the guard
             for k in range(x.size):
@@ -118,7 +114,7 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
             is_at_breakpoint = abs(value) <= _WITHIN * scale
             if not (is_at_breakpoint or value >= 0.0):  # NaN where no stiffness tells the twist
                 return False, False
-            behind = system.preload[guard.successor // system.regime_strides[lashes_of(system)], 0, TORQUE]
+            behind = system.preload[guard.successor // system.regime_strides[system.lash_count], 0, TORQUE]
             is_beside_loose = is_beside_loose or (is_at_breakpoint and np.isnan(behind))
     return True, is_beside_loose
 
@@ -131,7 +127,7 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
     inputs : output; what is no torque, gap or twist of a friction is 1 already
     """
     load, contacts = start.loads[start.load], system.contacts[start.regime]
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         course = log.courses[lash]
         course.last_side, course.contact_began, course.from_sticking = contacts[lash].side, -np.inf, 0
     set_gaps(system, start.before, inputs)
@@ -151,10 +147,10 @@ def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
     """
     system, most = at.system, 1
     if system.impulsive != 0:
-        for lash in range(lashes_of(system)):
+        for lash in range(system.lash_count):
             most = max(most, 2 if at.inputs[gap_input(lash)] > 0.0 else 3)
-        most += 2 * (lashes_of(system) - 1)
-    if frictions_of(system) > 0:  # one of them may begin to slip
+        most += 2 * (system.lash_count - 1)
+    if system.friction_count > 0:  # one of them may begin to slip
         most += 1
     return bool(count + most <= log.events.size and stages <= MOST_STAGES)
 
@@ -162,7 +158,7 @@ def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
 @inlined_part
 def is_instant(at: Moment, last: float) -> bool:
     """Whether the phase that the last event, at a time, began has lasted no time: then it has no extremes."""
-    return elements_of(at.system) > 1 and bool(at.time - last < INSTANT)
+    return at.system.element_count > 1 and bool(at.time - last < INSTANT)
 
 
 @inlined_part
@@ -201,7 +197,7 @@ def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
 
     State and inputs may change, and events be written, as at a switch.
     """
-    if frictions_of(at.system) == 0:
+    if at.system.friction_count == 0:
         return entry
     if at.system.impulsive == 0 and rubbing.fits(at, entry.regime, entry.regime, 0):
         return entry

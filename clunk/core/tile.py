@@ -22,7 +22,7 @@ from clunk.core.exact.workspace import (
 from clunk.core.jit import compiled, part
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import refer
-from clunk.core.regimes import System, driveline_at, lashes_of
+from clunk.core.regimes import System, driveline_at
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Room, make_room
@@ -151,7 +151,7 @@ def run_tile(
     capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (max_events + 1, 0)
     x = np.empty(size)
     if not isinstance(tables, Flows):
-        lashes = len(system.lashes)
+        lashes = system.lash_count
         log = Log(
             np.empty(capacity, EVENT),
             np.empty((capacity, lashes, 2)),
@@ -285,7 +285,7 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
             x[j] = cases.states[k, j]
     elif status == _OK:
         status, regime = switching.preload(system, cases.before[k], x)
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         cell = cells[lash]
         cell.severity = np.nan
         cell.approach_velocity = np.nan
@@ -325,12 +325,12 @@ def _finish(
     for i in range(1, outcome.written):
         count += log.events[i].kind != STAGE
     status = _EVENT_BUFFER_FULL if outcome.status == _OK and count > max_events else outcome.status
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         cells[lash].status = status
         nearest = min(nearest, abs(log.margins[lash]))
     if status != _OK:
         return 0
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         cell, events, severities, speeds = cells[lash], log.events, 0.0, 0.0  # sums of squares
         cell.margin = log.margins[lash]
         cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)

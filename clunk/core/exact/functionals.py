@@ -12,7 +12,6 @@ from clunk.core.exact.workspace import Workspace, shortest_span, size_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
-from clunk.core.regimes import inputs_of
 from clunk.core.tables import INPUTS
 
 
@@ -63,7 +62,7 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector)
 
     inputs_at : where the regime's inputs lie in the rows that were taken
     """
-    output, driven, rests = space.flows.origin_output, inputs_of(space.system), space.flows.steady[0, flow] != 0
+    output, driven, rests = space.flows.origin_output, space.system.input_count, space.flows.steady[0, flow] != 0
     first, order, still = f * driven, output.shape[3] * driven, rests and space.system.ramps == 0
     if space.mixed != 0:
         return weighed_origin(space, OfLanes(space.lane_output_origins), first, 1, order, inputs_at, still, elapsed)
@@ -99,7 +98,7 @@ def weighed(space: Workspace, weights: Table, first: int, stride: int, at: int) 
     total = vectors.load(work, at) * vectors.number(weights, first)
     for k in range(1, INPUTS):  # as many as a plain driveline has: by a known number, a run takes 3 % less time
         total = fused(vectors.load(work, at + k), vectors.number(weights, first + k * stride), total)
-    for k in range(INPUTS, inputs_of(space.system)):
+    for k in range(INPUTS, space.system.input_count):
         total = fused(vectors.load(work, at + k), vectors.number(weights, first + k * stride), total)
     return total
 

@@ -17,7 +17,7 @@ from clunk.core.events import OPENING, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import rows
 from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, system_of
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import lash_of, lashes_of, overlap_of
+from clunk.core.regimes import lash_of, overlap_of
 from clunk.core.rigid import holding_torque
 from clunk.core.runs import LEVEL, Moment, Start
 from clunk.core.sequence import is_primary, is_sticking
@@ -49,7 +49,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
     if status != _OK:
         inputs[TORQUE] = start.before[TORQUE]
         status, regime = preload(system, inputs, x)
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         side = system.contacts[regime, lash].side
         if system.impulsive != 0:
             static = side * holding_torque(Moment(system, 0.0, x, inputs), regime, lash)[0]
@@ -77,7 +77,7 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
 @inlined_part
 def note_holding(space: Workspace, slot: int, at: Moment) -> None:
     """Note the torques that lock rigid flanks, and their rates of change, before another piece of the load begins."""
-    for lash in range(lashes_of(at.system) if at.system.impulsive != 0 else 0):
+    for lash in range(at.system.lash_count if at.system.impulsive != 0 else 0):
         space.held[lash, 0], space.held[lash, 1], _ = holding_torque(at, space.runs[slot].regime, lash)
 
 
@@ -88,7 +88,7 @@ def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
     There the torque that locks them may jump or bend, and be least: a miss that no step sees.
     """
     system, regime = at.system, space.runs[slot].regime
-    for lash in range(lashes_of(system) if system.impulsive != 0 else 0):
+    for lash in range(system.lash_count if system.impulsive != 0 else 0):
         contact, own = system.contacts[regime, lash], space.numbers[slot, lash_at(space, lash) :]
         scale = own[rows.SCALE]
         if contact.closed == 0 or not scale > 0.0:

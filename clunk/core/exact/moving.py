@@ -7,7 +7,6 @@ from clunk.core.exact.workspace import Workspace, field, size_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
-from clunk.core.regimes import inputs_of
 
 
 @inlined_part
@@ -57,7 +56,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
     """The states of the runs taken, into `space.moved`."""
     work, size, elapsed = space.pool.work, size_of(space), field(space, rows.ELAPSED)
-    order = inputs_of(space.system) * size
+    order = space.system.input_count * size
     for n in range(space.flows.coordinates.shape[2]):
         at = functionals.weighed_origin(space, origins, n, size, order, space.inputs_at, False, elapsed)
         away = vectors.splat(0.0)
@@ -81,30 +80,7 @@ def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> N
         space.offsets[lane] = (first + int(space.notes[0, lane])) * 2 * size
     for row in range(0, 2 * size, ROW):
         vectors.gather(table, space.offsets, row, space.moved, row)
-    if short:
-        move_by_series(space.moved, part, space.pool.work, size)
-    else:
-        jump(space.moved, space.pool.work, size)
-
-
-@inlined_part
-def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
-    """Move by a span.
-
-    propagated : (2C, WIDTH) float64
-        The span's row of `propagator`, of each lane.
-    """
-    for begin in range(0, size, ROW):
-        for k in range(PAIRS):
-            p, q = begin + k, begin + k + PAIRS
-            one, other = vectors.load(work, p), vectors.load(work, q)
-            same, cross = 2 * begin + SELF * ROW + k, 2 * begin + CROSS * ROW + k
-            moved = fused(vectors.load(propagated, same), one, vectors.load(propagated, cross) * other)
-            partner = fused(
-                vectors.load(propagated, same + PAIRS), other, vectors.load(propagated, cross + PAIRS) * one
-            )
-            vectors.store(work, p, moved)
-            vectors.store(work, q, partner)
+    move_modes(space.moved, short, part, space.pool.work, size)
 
 
 @inlined_part
@@ -117,25 +93,28 @@ def measure(work: FloatArray, size: int, amplitudes: FloatArray) -> None:
 
 
 @inlined_part
-def move_by_series(rates: FloatArray, part: Vector, work: FloatArray, size: int) -> None:
-    """Move modes by a part of the shortest span, by the Taylor series of the exponential.
+def move_modes(shares: FloatArray, short: bool, part: Vector, work: FloatArray, size: int) -> None:
+    """Move modes by a span; or if `short` by a part of the shortest, by the Taylor series of the exponential.
 
-    rates : (2C, WIDTH) float64
-        The last row of `propagator`, of each lane.
+    shares : (2C, WIDTH) float64
+        The span's row of `propagator`, of each lane; or the last one.
     """
     for begin in range(0, size, ROW):
         for k in range(PAIRS):
             p, q = begin + k, begin + k + PAIRS
             one, other = vectors.load(work, p), vectors.load(work, q)
             at_self, at_cross = 2 * begin + SELF * ROW + k, 2 * begin + CROSS * ROW + k
-            same, cross = vectors.load(rates, at_self), vectors.load(rates, at_cross)
-            same_too, crossed = vectors.load(rates, at_self + PAIRS), vectors.load(rates, at_cross + PAIRS)
-            moved, partner = one, other
-            for n in range(TERMS - 1, 0, -1):
-                share = part * (1.0 / n)
-                change = fused(partner, cross, moved * same)
-                partner = fused(share, fused(partner, same_too, moved * crossed), other)
-                moved = fused(share, change, one)
+            same, cross = vectors.load(shares, at_self), vectors.load(shares, at_cross)
+            same_too, crossed = vectors.load(shares, at_self + PAIRS), vectors.load(shares, at_cross + PAIRS)
+            if short:
+                moved, partner = one, other
+                for n in range(TERMS - 1, 0, -1):
+                    share = part * (1.0 / n)
+                    change = fused(partner, cross, moved * same)
+                    partner = fused(share, fused(partner, same_too, moved * crossed), other)
+                    moved = fused(share, change, one)
+            else:
+                moved, partner = fused(same, one, cross * other), fused(same_too, other, crossed * one)
             vectors.store(work, p, moved)
             vectors.store(work, q, partner)
 

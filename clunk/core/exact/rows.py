@@ -6,11 +6,13 @@ A row begins with the modal coordinates; places are counted from `Workspace.behi
 
 from clunk.core.jit import inlined_part
 
-# A run's numbers that steps change.
+# A run's numbers that steps change, and two more.
 ELAPSED = 0  # s, in the phase
 ZERO_GUARD, ZERO_ORDER = 1, 2  # which guard is zero, and how many of its derivatives are, itself included; or none
 TRY = 3  # s, the longest span that is proposed next
-_FIRST = 4
+LIMIT = 4  # s, from the phase's beginning to the end of the run, or of the load's piece
+KINK = 5  # whether the load, which may change there, has not come to rest
+_FIRST = 6
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
 # Up to the last lash's window steps change them, and those behind they do not. A step reads 8 numbers at a time: a
@@ -20,10 +22,8 @@ HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the 
 SIDE = 4  # by which the guards' signs are those of the group's first regime: 1 or -1
 SCALE = 5  # of the guards' margins
 _OF_LASH = 6
-# Behind the last lash's: LIMIT, s, from the phase's beginning to the end of the run, or of the load's piece, see
-# `limit`; whether the load, which may change there, has not come to rest; the SHIFT of each guard, see `shift`; and the
-# regime's inputs, when the phase or the load's piece began.
-KINK = 1  # behind LIMIT
+# Behind the last lash's: the SHIFT of each guard, see `shift`; and the regime's inputs, when the phase or the load's
+# piece began.
 
 # A search's numbers, those that change first.
 TIME_LEFT = 0  # s
@@ -52,12 +52,6 @@ def of_lash(lash: int) -> int:
 
 
 @inlined_part
-def limit(lashes: int) -> int:
-    """Place of LIMIT."""
-    return of_lash(lashes)
-
-
-@inlined_part
 def shift(guard: int, lashes: int) -> int:
     """Place of a guard's SHIFT."""
-    return of_lash(lashes) + 2 + guard
+    return of_lash(lashes) + guard

@@ -20,7 +20,7 @@ from clunk.core.exact.workspace import Workspace, lash_at, log_of, system_at, sy
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import frictions_of, gap_input, inputs_of, lashes_of
+from clunk.core.regimes import gap_input
 from clunk.core.runs import (
     Entry,
     Moment,
@@ -47,10 +47,11 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row.driveline, row.status, row.quality, row.stages, row.searches = driveline, _OK, 0, 0, 0
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         space.fastest[slot, lash] = 0.0
-        space.numbers[slot, lash_at(space, lash) + rows.MARGIN] = MOST
-    _take_events(space, slot, 0, 1)
+        own = space.numbers[slot, lash_at(space, lash) :]
+        own[rows.MARGIN], own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = MOST, np.inf, -np.inf
+    row.last = 0.0
     set_static(space, slot, start)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
@@ -62,29 +63,26 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     The load goes on to its piece at that time, and what no longer sticks there begins to slip, as an event.
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
-    numbers, regime = space.numbers[slot, space.behind :], entry.regime
-    load, before = space.loads[row.load], row.piece
+    numbers, load, before = space.numbers[slot, space.behind :], space.loads[row.load], row.piece
     row.piece = piece_at(load, before, time)
     if row.piece != before:
         begin_wave(system, load, row.piece, x)
     set_torque(system, load, row.piece, time, inputs)
-    limit = rows.limit(lashes_of(system))
-    numbers[limit] = end_of_piece(system, load, row.piece) - time
-    numbers[limit + rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
-    if frictions_of(system) > 0:
+    numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
+    numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
+    if system.friction_count > 0:
         row.count = entry.written
-        _close_phase(space, slot)
         entry = recheck_frictions(Moment(system, time, x, inputs), log_of(space, slot), entry)
-        regime = entry.regime
         _take_events(space, slot, row.count, entry.written)
+    regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
     for k in range(x.size):
         space.numbers[slot, k] = x[k]  # a state for now; `moving.to_coordinates` makes coordinates of it
     numbers[rows.ELAPSED], numbers[rows.TRY] = 0.0, np.inf
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     entered = system.regimes[regime]
-    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.inputs_at + inputs_of(system)])
-    for lash in range(lashes_of(system)):
+    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.inputs_at + system.input_count])
+    for lash in range(system.lash_count):
         contact, course = system.contacts[regime, lash], space.courses[slot, lash]
         own = space.numbers[slot, lash_at(space, lash) :]
         held_from = course.contact_began + system.sticking_time[lash] - time
@@ -95,7 +93,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own[rows.SCALE] = scale
     for n in range(entered.watched):
         shift = weigh(system.offsets[regime, n], inputs)
-        numbers[rows.shift(n, lashes_of(system))] = shift
+        numbers[rows.shift(n, system.lash_count)] = shift
     push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
 
 
@@ -164,7 +162,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     if not np.isfinite(total):
         _end(space, slot, _NON_FINITE, time)
         return
-    switches = by_event or frictions_of(system) > 0
+    switches = by_event or system.friction_count > 0
     if switches and not may_switch(at, log, row.count, row.stages):
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
@@ -186,9 +184,12 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
     """Switch by the guard that turned negative; take what that says of the run's margin and its windows."""
     row, log = space.runs[slot], log_of(space, slot)
     take_margin_of_event(space, slot, at)
-    _close_phase(space, slot)
     if is_instant(at, row.last):
         begin_windows(log, row.count - 1)
+        for lash in range(at.system.lash_count):
+            own = space.numbers[slot, lash_at(space, lash) :]
+            window = log.extremes[row.count - 1, lash]
+            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = window[0], window[1]
     entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
     row.stages += entry.written == row.count  # one that is not written: the phase goes on
     _take_events(space, slot, row.count, entry.written)
@@ -200,32 +201,29 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     """End a run."""
     row = space.runs[slot]
     row.status, row.time = status, time
-    for lash in range(lashes_of(space.system)):
+    for lash in range(space.system.lash_count):
         space.margins[slot, lash] = space.numbers[slot, lash_at(space, lash) + rows.MARGIN]
-    _close_phase(space, slot)
+    _close_phase(space, slot, row.count - 1)
     push(space.pool, space.queues.over, slot)
 
 
 @inlined_part
-def _close_phase(space: Workspace, slot: int) -> None:
-    """Write the extremes of the accelerations in the windows so far beside the event that began a run's phase."""
-    last = space.runs[slot].count - 1
-    for lash in range(lashes_of(space.system)):
-        own = space.numbers[slot, lash_at(space, lash) :]
-        space.extremes[slot, last, lash, 0] = own[rows.WINDOW_MAX]
-        space.extremes[slot, last, lash, 1] = own[rows.WINDOW_MIN]
+def _close_phase(space: Workspace, slot: int, k: int) -> None:
+    """Write the extremes of the accelerations in a run's windows so far beside event `k`."""
+    for lash in range(space.system.lash_count):
+        own, window = space.numbers[slot, lash_at(space, lash) :], space.extremes[slot, k, lash]
+        window[0], window[1] = own[rows.WINDOW_MAX], own[rows.WINDOW_MIN]
 
 
 @inlined_part
 def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
-    """Begin a run's phase behind events that were written, from the first on: with the windows that these left."""
-    log = log_of(space, slot)
-    roll_states(system_of(space, slot), space.runs[slot].rolled, log, first, written)
-    if written > first:
-        space.runs[slot].last = log.events[first].time
-    for lash in range(lashes_of(space.system)):
-        own = space.numbers[slot, lash_at(space, lash) :]
-        own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = (
-            log.extremes[written - 1, lash, 0],
-            log.extremes[written - 1, lash, 1],
-        )
+    """Close the phases before events that were written, from the first on, and open the windows of primary impacts."""
+    row, log = space.runs[slot], log_of(space, slot)
+    roll_states(system_of(space, slot), row.rolled, log, first, written)
+    for k in range(first, written):
+        event = log.events[k]
+        row.last = event.time
+        _close_phase(space, slot, k - 1)
+        if event.primary != 0:  # its window is empty: anything counts
+            own = space.numbers[slot, lash_at(space, event.lash) :]
+            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = -np.inf, np.inf

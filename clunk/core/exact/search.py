@@ -23,7 +23,6 @@ from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
-from clunk.core.regimes import lashes_of
 
 _NARROWEST = 2.0**-16  # of the shortest span: two turns within that differ by less than rounding
 
@@ -73,7 +72,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
     set_field(space, rows.BOTTOM, bottom)
     put_back(space.pool, space.searches, space.behind + rows.BY_SIGN, present & ~done)
     push_all(space.pool, queue, present & ~done)
-    lashes = lashes_of(space.system)
+    lashes = space.system.lash_count
     while done != 0:
         lane = vectors.first_of(done)
         done &= done - 1

@@ -34,7 +34,7 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
-from clunk.core.regimes import ROUNDING, elements_of, inputs_of, lash_of, lashes_of
+from clunk.core.regimes import ROUNDING, lash_of
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.tables import ACCELERATION
 
@@ -67,15 +67,14 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     flow = system.regimes[regime].flow
     zero, present = vectors.splat(0.0), (1 << count) - 1
     shortest, elapsed = shortest_span(space, flow), field(space, rows.ELAPSED)
-    limit = rows.limit(lashes_of(system))
-    time_left = field(space, limit) - elapsed
+    time_left = field(space, rows.LIMIT) - elapsed
 
     moving.measure(pool.work, size_of(space), space.amplitudes)
     _see(space, regime, _START)
     kinks, at_most = 0, field(space, rows.TRY)
     settled = _stays(space, regime) & present if flows.steady[0, flow] != 0 else 0
     if space.loads.shape[1] > 1:
-        kinks = field(space, limit + rows.KINK) > 0.0
+        kinks = field(space, rows.KINK) > 0.0
         settled &= ~kinks
         at_most = vectors.choose(kinks, vectors.smaller(at_most, time_left), at_most)
     there = present & ~settled
@@ -110,7 +109,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     arrived = ends & kinks & ~lost
     if (happened | arrived) != 0:
         moving.to_states(space, flow, happened | arrived)
-    changing = rows.of_lash(lashes_of(system) - 1) + rows.MARGIN
+    changing = rows.of_lash(system.lash_count - 1) + rows.MARGIN
     put_back(pool, space.numbers, space.behind + changing, advancing)
     if happened != 0:
         searching |= _find_depths(space, regime, event, happened)
@@ -172,7 +171,7 @@ def _see(space: Workspace, regime: int, row: int) -> None:
 @inlined_part
 def _seen(space: Workspace, regime: int) -> int:
     """How many functionals a step sees; the last ones are the accelerations."""
-    return int(space.system.regimes[regime].watched + lashes_of(space.system))
+    return int(space.system.regimes[regime].watched + space.system.lash_count)
 
 
 @inlined_part
@@ -204,7 +203,7 @@ def _shift(space: Workspace, regime: int, n: int) -> Vector:
     """The shift that makes guard n of its functional."""
     if n >= space.system.regimes[regime].watched:
         return vectors.splat(0.0)
-    return field(space, rows.shift(n, lashes_of(space.system)))
+    return field(space, rows.shift(n, space.system.lash_count))
 
 
 @inlined_part
@@ -315,7 +314,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         origin = _origin(space, flow, guard.functional)
         functionals.expand(space, flow, guard.functional, sign, shift, origin)
         noise = ROUNDING * (vectors.magnitude(origin.value) + vectors.magnitude(shift) + sway)
-        if elements_of(system) > 1:  # another lash's event at the same time may have been located first
+        if system.element_count > 1:  # another lash's event at the same time may have been located first
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
             noise = vectors.larger(noise, instant)
@@ -442,7 +441,7 @@ def _begin_search(
     elif deep:
         search, until = space.searches_each - 1, -_bar(space, regime, n)
     else:
-        search, bottom = lashes_of(system) + n, _bar(space, regime, n)
+        search, bottom = system.lash_count + n, _bar(space, regime, n)
     sign, shift = _sign(space, regime, n), _shift(space, regime, n)
     vectors.store(space.notes, 0, (time_left, began, top, bottom, sign, shift, counts, until))  # in the order of `rows`
     queue = space.queues.search + system.regimes[regime].flow * space.flows.watch.shape[2]
@@ -455,7 +454,7 @@ def _begin_search(
             space.searches[item, k] = space.numbers[slot, k]
         for k in range(rows.OF_A_SEARCH):
             space.searches[item, space.behind + k] = space.notes[k, lane]
-        for k in range(inputs_of(system)):
+        for k in range(system.input_count):
             space.searches[item, space.behind + rows.OF_A_SEARCH + k] = space.numbers[slot, space.inputs_at + k]
         space.runs[slot].searches += 1
         push(space.pool, queue + _functional(space, regime, n), item)

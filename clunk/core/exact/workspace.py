@@ -123,7 +123,7 @@ def make_workspace(
     # in order: span, short, enter, each by group; search by flow and functional; over; follow
     groups, over = system.leaders.size, waiting_queues(system, flows)
     queues = Queues(0, groups, 2 * groups, 3 * groups, over, over + 1)
-    lashes, driven = len(system.lashes), system.weights.shape[1]
+    lashes, driven = system.lash_count, system.input_count
     inputs_at = size + rows.shift(most, lashes)
     of_a_run, searches = inputs_at + driven, lashes + most + 1
     return Workspace(

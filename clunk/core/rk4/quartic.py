@@ -38,13 +38,19 @@ def bisect(p: Quartic, low: float, high: float) -> float:
 def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
-    The zeros of p'' in closed form cut p' into monotone pieces, each with at most one zero. One that there
-    is not is the one before, or 0.
+    The zero of p''' cuts p'' into monotone pieces, whose zeros cut p' into such. One that there is not is the one
+    before, or 0.
     """
     slope = p[1], 2.0 * p[2], 3.0 * p[3], 4.0 * p[4], 0.0
     if abs(slope[0]) > length * (abs(slope[1]) + length * (abs(slope[2]) + length * abs(slope[3]))):
         return 0.0, 0.0, 0.0
-    cut1, cut2 = _quadratic_roots(slope[1], 2.0 * slope[2], 3.0 * slope[3], length)
+    bend, middle = (slope[1], 2.0 * slope[2], 3.0 * slope[3], 0.0, 0.0), length
+    if slope[3] != 0.0:
+        middle = -slope[2] / (3.0 * slope[3])
+    if not 0.0 < middle < length:
+        middle = length
+    cut1 = _sign_change(bend, 0.0, middle, 0.0)
+    cut2 = _sign_change(bend, middle, length, cut1)
     s1 = _sign_change(slope, 0.0, cut1, 0.0)
     s2 = _sign_change(slope, cut1, cut2, s1)
     return s1, s2, _sign_change(slope, cut2, length, s2)
@@ -56,28 +62,6 @@ def _sign_change(p: Quartic, low: float, high: float, otherwise: float) -> float
     if high <= low or (evaluate(p, low) < 0.0) == (evaluate(p, high) < 0.0):
         return otherwise
     return bisect(p, low, high)
-
-
-@part
-def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[float, float]:
-    """The two zeros of a0 + a1 s + a2 s^2, in order; one that is not in (0, length) is replaced by `length`."""
-    first, second = length, length
-    if a2 == 0.0:
-        if a1 != 0.0:
-            first = -a0 / a1
-    else:
-        discriminant = a1 * a1 - 4.0 * a2 * a0
-        if discriminant > 0.0:
-            root = discriminant**0.5
-            far = -0.5 * (a1 + root) if a1 >= 0.0 else -0.5 * (a1 - root)  # no cancellation
-            first = far / a2
-            if far != 0.0:
-                second = a0 / far
-    if not 0.0 < first < length:
-        first = length
-    if not 0.0 < second < length:
-        second = length
-    return min(first, second), max(first, second)
 
 
 @part

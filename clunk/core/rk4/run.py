@@ -15,7 +15,7 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray, StopFlag
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import System, frictions_of, lashes_of, turn_back
+from clunk.core.regimes import System, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, IN_PLACE, STEP, STRIDE, STRIDES, Steps
 from clunk.core.rk4.step import Room, enter, expand, finish, first_event, widen_extremes
@@ -58,12 +58,6 @@ class _Grid(NamedTuple):
 
 
 @part
-def _unknown(value: int) -> int:
-    """An integer that numba does not know: for a known one it would compile again what that is passed to."""
-    return int(np.int64(value))
-
-
-@part
 def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: StopFlag) -> Outcome:
     """Run from the load step to the end time, or until it is proved that nothing can follow.
 
@@ -81,15 +75,18 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     x, inputs, load = start.x, room.inputs, start.loads[start.load]
     inputs[:], room.fastest[:], log.margins[:] = 1.0, 0.0, np.nan
     room.z[:] = 0.0  # a run before may have left what is not a number where nothing is written
-    entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
+    entry = Entry(1, start.regime, -1, 0)
     piece, written = piece_at(load, 0, 0.0), entry.written
     rolled = begin_run(system, start, piece, inputs, log)
+    begin_windows(log, 0)
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         time = begin + index * grid.step + offset
         entry = recheck_frictions(Moment(system, time, x, inputs), log, entry)
         roll_states(system, rolled, log, written, entry.written)
+        for k in range(written, entry.written):
+            begin_windows(log, k)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)
         _combine(steps.by_inputs[flow], room.weighed, room.by_inputs)
@@ -138,7 +135,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         written = entry.written
         if guard < 0:  # another piece of the load
             at = Moment(system, begin, x, inputs)
-            if frictions_of(system) > 0 and not may_switch(at, log, written, stages):
+            if system.friction_count > 0 and not may_switch(at, log, written, stages):
                 return Outcome(_EVENT_BUFFER_FULL, written, 0, begin)
             entry = Entry(written, entry.regime, -1, 0)
             continue
@@ -172,7 +169,7 @@ def _is_settled(system: System, steps: Steps, regime: int, room: Room, extremes:
         at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed)
         if not at_rest + room.shift[guard] > (1.0 + 1e-9) * reach[functional]:
             return False
-    for lash in range(lashes_of(system) if system.impulsive == 0 else 0):  # else nothing is asked of the acceleration
+    for lash in range(system.lash_count if system.impulsive == 0 else 0):  # else nothing is asked of the acceleration
         acceleration = lash * system.functionals_per_lash + ACCELERATION
         at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed)
         swing = (1.0 + 1e-9) * reach[acceleration]
@@ -257,7 +254,7 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
         Of each lash's acceleration, updated.
     """
     row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
-    columns, lashes, taken = steps.transfer.shape[2], lashes_of(system), 0
+    columns, lashes, taken = steps.transfer.shape[2], system.lash_count, 0
     next_stride = 0 if steps.strides[row.flow] != 0 else budget  # not before so many steps
     while taken < budget:
         is_stride = next_stride <= taken <= budget - STRIDE

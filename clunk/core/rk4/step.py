@@ -10,7 +10,7 @@ import numpy as np
 from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.events import INSTANT
 from clunk.core.jit import part
-from clunk.core.regimes import ROUNDING, System, elements_of, lashes_of
+from clunk.core.regimes import ROUNDING, System
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import set_weighed, weigh
@@ -44,10 +44,10 @@ def make_room(system: System, steps: Steps) -> Room:
     """Room for runs, one after the other."""
     width, of_modes, by_inputs = steps.transfer.shape[3], steps.mode_rows.shape[2], np.empty(steps.by_inputs.shape[2])
     affine, of_y, sag = np.split(by_inputs, np.cumsum([3 * width, of_modes]))
-    most, driven = system.guards.shape[1], system.weights.shape[1]
+    most, driven = system.guards.shape[1], system.input_count
     return Room(
         inputs=np.empty(driven),
-        fastest=np.empty(len(system.lashes)),
+        fastest=np.empty(system.lash_count),
         weighed=np.empty(driven),
         at=np.empty(most, np.int64),
         sign=np.empty(most),
@@ -107,7 +107,7 @@ def first_event(
         p, scale, of_rate = _quartic(system, system.regimes[regime].flow, system.guards[regime, guard].functional, room)
         p = sign * p[0] + shift, sign * p[1], sign * p[2], sign * p[3], sign * p[4]
         order, rounding = zero_order if guard == zero_guard else 0, ROUNDING * (scale + abs(shift))
-        if elements_of(system) > 1:
+        if system.element_count > 1:
             rounding = max(rounding, INSTANT * abs(p[1]))
         if order == 0 and abs(p[0]) <= rounding:
             order = 1 if abs(p[1]) > ROUNDING * of_rate else 2
@@ -122,7 +122,7 @@ def first_event(
 @part
 def widen_extremes(system: System, flow: int, room: Room, length: float, extremes: FloatArray) -> None:
     """Update the extremes of each lash's acceleration, (L, 2), by those on the step, both ends included  [rad/s2]."""
-    for lash in range(lashes_of(system)):
+    for lash in range(system.lash_count):
         p, _, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, room)
         high, low = quartic.extremes(p, length)
         extremes[lash, 0], extremes[lash, 1] = max(extremes[lash, 0], high), min(extremes[lash, 1], low)
