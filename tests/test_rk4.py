@@ -165,11 +165,11 @@ def test_strides_change_nothing(seed, monkeypatch):
     study = studies.random_study(seed, "solver.method=rk4")
     strided = clunk.sweep(study, boundaries=False)
 
-    def in_blocks(*driveline):
+    def without_strides(*driveline):
         system, tables = build_steps(*driveline)
         return system, tables._replace(strides=np.zeros_like(tables.strides))
 
-    monkeypatch.setattr(batches, "build_steps", in_blocks)
+    monkeypatch.setattr(batches, "build_steps", without_strides)
     batches.prepare_one.cache_clear()
     every = clunk.sweep(study, boundaries=False)
     batches.prepare_one.cache_clear()

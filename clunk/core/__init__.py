@@ -5,23 +5,24 @@ in reading order: `tables` (elements, and regimes as combinations of their state
 `equilibrium`: its steady motion, `reductions`: coordinates of what can move, and `batches`: many at once), `events` and
 `runs` (what a run begins with and leaves behind, and `status`: how it ended), `switching` (preload, and what happens at
 an event), `rigid` (impacts and releases of rigid flanks), `rubbing` (which flanks stay locked and which frictions stick
-then), then one of two methods, and `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit` (how all of it
-is compiled, once for all drivelines), `partial` (all that reaches into numba's inner parts, without which it takes
-longer) and `references` (systems and workspaces as arguments). Kernels allocate nothing: what calls them makes their
-room. `simulation.driveline` prepares the system, and the tables of a method.
+then), then one of two methods, and `sequence` (which impacts are primary, and the label), `tile` (many runs, and their
+Q and V), `jit` (how all of it is compiled, once for all drivelines), `partial` (all that reaches into numba's inner
+parts, without which it takes longer), `references` (systems and workspaces as arguments) and `arrays` (their types).
+Kernels allocate nothing: what calls them makes their room. `simulation.driveline` prepares the system, and the tables
+of a method.
 
 Both methods share the system, its guards, the preload, what happens at an event (`switching`, `rigid`, `rubbing`), the
 label, and the modes by which RK4 knows that nothing follows, at all or for some steps. They differ in how they flow,
 and locate events and extremes. That they agree says nothing of what they share; `tests/helpers/reference.py`, which
 shares nothing, checks that, and `tests/test_rk4.py` holds runs to those in which every step is seen.
 
-`rk4`: `run` (a run from the load step to its end, and when it is over), `step` and `quartic` (one short step with
+`rk4`: `run` (a run from the load step to its end, and when it is over), `step` and `quartic` (one step with
 everything in it located), `propagator` (full steps as matrices).
 
 `exact`: `run` (a run, and what it does at an event), `step` (propose a span, prove it, or find the event), `search`
-(what is looked for within a step), `curves` (functionals and their bounds), `moving` (along the modes), `taylor`
-(series over the shortest span), `flows` (the tables of modes), `functionals` (what is read of them: of one
-driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
+(what is looked for within a step), `margins` (how near a run came to another label), `curves` (functionals and their
+bounds), `moving` (along the modes), `taylor` (series over the shortest span), `flows` (the tables of modes),
+`functionals` (what is read of them: of one driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
 
@@ -29,8 +30,9 @@ driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 `exponential` for its steps; nothing of a run depends on it.
 
 A sweep enters by `tile.run_tile`: for each cell `_begin`, then `run.begin` and `run.advance` of the exact method or
-`rk4.run.run`, and at the end `_describe`, which packs the primaries' flanks into a `pattern`; a single run is a tile of
-one cell. `sweeping.reduction.flanks_of` unpacks the pattern, and `sequence.label` makes its label.
+`rk4.run.run`, and at the end `_finish`, which packs the primaries' flanks into a `pattern`; a single run is a tile of
+one cell. `sweeping.reduction.labels_of` unpacks the pattern, and `sequence.label` makes the
+label.
 
 Words
 -----
@@ -43,7 +45,7 @@ guard       a functional, signed and shifted, that is positive within a regime a
 event       a guard turning negative, with the regime that follows; also the load step itself
 phase       what lies between two events
 inputs      d = (T, φ/2, …) of a run; u = (T, s φ/2, …) of a regime
-window      from one primary impact of a lash to its next, over which the acceleration's extremes make Q_i
+window      from one primary impact of a lash to its next, or the end, over which the acceleration's extremes make Q_i
 margin      how near a lash came to another label: positive by what did not happen, negative by what did
 turn        a point where a functional turns back; depth: how far a guard would fall beyond zero before it does
 load step   the change of the torque at time zero
@@ -56,7 +58,7 @@ span        one of a ladder of time intervals, two an octave, for which a flow's
 origin      a particular solution of a flow, which the modal coordinates are measured from
 steady      of a flow: the functionals of its origin rest under a constant torque; still: and so under this load
 rolled      by what angle of the first inertia that rolls a run's angles, which are less that, have turned together
-pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
+pair        two modal coordinates that belong together; their amplitude does not grow, but as `exact.flows` says
 group       regimes with one flow and, but for the sides, the same guards, whose runs take steps together
 miss        a turn of a guard above zero; grazing: one within rounding of zero, or an event that all but did not happen
 sway        how far all pairs move a functional at most from now on

@@ -49,7 +49,7 @@ class System(NamedTuple):
     """One driveline with its lashes and contacts, ready to run.
 
     n inertias, N states (2n, or 2n + 2 with a wave), I inputs, F functionals, K flows, L lashes, R regimes in U groups,
-    with at most G guards each.
+    with at most G guards each; E elements, M of them frictions, S combinations of stages, H sets of closed lashes.
     """
 
     # the flows
@@ -86,7 +86,7 @@ class System(NamedTuple):
     frictions: FloatArray  # (M, N)  rate of twist = frictions · x
     friction_torques: FloatArray  # (M,)  the most that each holds  [N m]
     excess: IntArray  # (K,)  whether a friction sticks in a flow that the others hold without it
-    # before the step
+    # before the load step
     preload: FloatArray  # (S, N, I)  steady motion in contact at the load step, in each combination of stages, by u
     contact_torque: FloatArray  # (S, L, I)  the torque across each lash in it, signed like q
     # (2n, 0 to 2)  what no torque depends on: the angle by which the driveline rolls, if it does so, and, without drag,
@@ -240,8 +240,8 @@ def build_system(
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
     Or those of a batch of drivelines alike but for numbers: inertias, dampings, stiffnesses, speeds and the numbers of
-    lashes, shafts and frictions then have an axis more in front, and so have the fields of `Each`; twists and the
-    shapes of rigid motions may have it. Raises UnlikeError where the drivelines differ in more than numbers.
+    lashes, shafts and frictions then have an axis more in front; twists and the shapes of rigid motions may
+    have it. Raises UnlikeError where the drivelines differ in more than numbers.
 
     Parameters
     ----------

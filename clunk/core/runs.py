@@ -22,7 +22,7 @@ class Start(NamedTuple):
 
     x: FloatArray  # (N,)  [rad, rad/s]
     regime: int  # the one that x is in
-    before: FloatArray  # (INPUTS + L - 1 or more,)  d before the load step  [N m, rad, N m/s, rad]
+    before: FloatArray  # (INPUTS + L - 1,)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (loads, P, PIECE)  [s, N m, N m/s]
     load: int  # which of them is the run's
 

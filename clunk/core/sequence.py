@@ -68,7 +68,8 @@ def label(flanks: Iterable[int]) -> str:
     Notes
     -----
     From the initial flank, I is a single-sided impact (SS) and O begins a crossing that the next I completes to a
-    double-sided one (DS). O again from the opposite flank is OS, written before its DS; a crossing without its I is CR.
+    double-sided one (DS). O again from the opposite flank is OS, written before its DS or CR; a crossing without its I
+    is CR.
     """
     excursions: list[str] = []
     on_opposite = False

@@ -1,4 +1,4 @@
-"""What happens at the ends of a run and at its events: preload, and switching from one regime to the next.
+"""What happens at the beginning of a run and at its events: preload, and switching from one regime to the next.
 
 Detection is not here: whoever flows through a regime says which guard turned negative, and where.
 """
@@ -49,8 +49,8 @@ def set_weighed(system: System, regime: int, inputs: FloatArray, u: FloatArray) 
 def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int]:
     """Set `x` to steady motion in contact; return the status and the regime.
 
-    The initial flanks are those that press in it. Of the regimes in which all lashes are closed it is the first one in
-    which they do, and within whose stages the shafts' steady twists lie; there is one at most, as no stiffness is
+    The initial flanks are those that press in it. Of the regimes in which all lashes are closed it is the one in which
+    they do, and within whose stages the shafts' steady twists lie; there is at most one, as no stiffness is
     negative. All frictions stick in these, whose numbers come before those of regimes in which one slips.
 
     Parameters
@@ -170,7 +170,7 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: F
     count : int
         Events written so far.
     fastest : (L,) float64  [rad/s]
-        Touch of each lash so far; updated.
+        Speed of the fastest touch of each lash so far; updated where flanks are rigid.
     """
     system, row = at.system, at.system.guards[regime, guard]
     if row.event_kind == STAGE:

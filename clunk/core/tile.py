@@ -40,7 +40,8 @@ _EVENT_MEMORY = 2_000_000  # events that there is room for at a time: 112 MB, an
 
 CELL = np.dtype(
     [
-        ("pattern", np.uint64),  # the primaries' flanks as bits behind a leading 1 (opposite: 1), 0 for more than 62
+        # the primaries' flanks as bits behind a leading 1 (opposite: 1); 0 for more than 62, or where the run failed
+        ("pattern", np.uint64),
         ("severity", np.float64),  # Q, rad/s2
         ("approach_velocity", np.float64),  # V, rad/s
         ("last_event_time", np.float64),  # s after the load step, NaN without events
@@ -161,7 +162,7 @@ def run_tile(
         )
         room = make_room(system, tables)
         return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, x, stop)
-    # of several lashes there are more queues: enough runs that each may have as many as there are lanes
+    # of several elements there are more queues: enough runs that each may have as many as there are lanes
     several = len(system.regime_strides) > 2
     under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables)) if several else UNDER_WAY
     slots = min(under_way, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
@@ -229,7 +230,7 @@ def by_exact(
         Scratch, for a state.
     free : (S,) int64
         The places of the workspace that no run is in: all of them.
-    begins : (cells,) int64
+    begins : (cells - first,) int64
         Output, where the impacts of each cell from `first` on begin; -1 until the cell is done.
     """
     space, cases, output = refer(space), refer(cases), refer(output)

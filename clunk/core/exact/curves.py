@@ -1,6 +1,6 @@
 """Functionals of runs side by side, one in each lane: their values, bounds of their derivatives, and what those prove.
 
-Of each run there are modal coordinates, C of them, in whose rows `work` begins, and the amplitudes of their pairs. The
+Of each run there are modal coordinates, C of them, the first rows of `work`, and the amplitudes of their pairs. The
 tables are those of `flows.Flows`, for one flow and one functional.
 """
 

@@ -37,7 +37,7 @@ MORE_SPANS = 128  # of flows with a wave so fast that the former end long before
 PAIRS = ROW // 2  # that lie together: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
 _OF_SERIES = 14  # terms of that of an exponential over one and a half of it
-LONG = 2 * ROW  # room for its terms
+LONG = 2 * ROW  # room for the TERMS of a Taylor series, in whole ROWs
 # where in a block of `Flows.watch` begins what multiplies coordinates: to a functional less its origin, its slope and
 # curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin and its sixth
 # derivative
@@ -62,7 +62,7 @@ _FAR = 2.0**40  # units of a displacement that nothing depends on
 class Flows(NamedTuple):
     """The tables of D drivelines, each with that axis in front.
 
-    K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8.
+    K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8, SPANS or MORE_SPANS.
     """
 
     # the particular solution and its first three derivatives at t = 0, per input; rolling apart, as in `basis`

@@ -77,7 +77,7 @@ def weighed_origin(
 
     weights : begin at `first`, one for each input and `stride` apart; those of the next derivative lie `order` behind
     at : where the inputs lie in the rows that were taken
-    still : whether it does not move, and its derivatives, a tenth of a step's time, are not to be looked at
+    still : whether it does not move; its derivatives are then left out, which saves a tenth of a step's time
     """
     value = weighed(space, weights, first, stride, at)
     slope = curvature = third = vectors.splat(0.0)

@@ -1,6 +1,6 @@
 """The margin of a run: how near each of its lashes came to another label, by the exact method.
 
-It is the smallest in size, each as a share of what it is at rest, of
+It is the smallest in size of
 
 - positive, what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the whole
   gap; and where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least

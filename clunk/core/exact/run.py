@@ -133,7 +133,7 @@ def advance(space: Workspace, stop: StopFlag) -> None:
 
 @inlined_part
 def _follow(space: Workspace, slot: int) -> None:
-    """Send a run on: end its phase, or take the next step."""
+    """Send a run on: end its phase, queue its next step, or end it."""
     row, system = space.runs[slot], system_of(space, slot)
     now = row.time + space.numbers[slot, space.behind + rows.ELAPSED]
     if row.ended == rows.AT_END:

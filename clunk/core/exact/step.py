@@ -57,8 +57,8 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     sixth derivative's bound, prove that g was positive in between. A part of the shortest span ends at the first zero
     of the Taylor series of g, or at its own end.
 
-    Each run then waits in the queue of its next step or of its searches, or in `follow`, where RUN tells how the step
-    ended. What failed stays where it was, and tries a shorter span next.
+    Each run then waits in the queue of its next step or of its searches, or in `follow`, where RUN's `ended` tells how
+    the step did. What failed stays where it was, and tries a shorter span next.
 
     group : of regimes, the one that all these runs are in
     """
@@ -97,7 +97,8 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     set_field(space, rows.ELAPSED, elapsed)
 
     failed, close = _prove(space, regime, h)
-    # A part of the shortest span was proved by `_find_event`. A span beyond the end of the run counts as failed, so
+    # A part of the shortest span was proved by `_find_event`. A span beyond the end of the run (before a kink none is
+    # proposed) counts as failed, so
     # that no event depends on where that end is.
     failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
@@ -295,7 +296,8 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     Returns
     -------
     event, part : Vector
-        The guard, or -1, and up to which part of the shortest span; of a smaller one where no more is known.
+        The guard, or -1; and the part of the shortest span up to its event, or up to which it is proved that there is
+        none.
     lost, grazing : int
         The lanes where nothing is finite any more, and where a guard all but turned negative.
     """
@@ -314,7 +316,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         origin = _origin(space, flow, guard.functional)
         functionals.expand(space, flow, guard.functional, sign, shift, origin)
         noise = ROUNDING * (vectors.magnitude(origin.value) + vectors.magnitude(shift) + sway)
-        if system.element_count > 1:  # another lash's event at the same time may have been located first
+        if system.element_count > 1:  # another element's event at the same time may have been located first
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
             noise = vectors.larger(noise, instant)

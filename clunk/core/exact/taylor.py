@@ -71,7 +71,7 @@ def first_zero(c: FloatArray, near: int, part: Vector) -> tuple[int, Vector, Vec
     Returns
     -------
     crosses : int
-        The lanes where a series turns negative, first of all, or is at the beginning.
+        The lanes where a series turns negative, or is so at the beginning.
     s, slope, half : Vector
         The zero, the slope there, and half the curvature.
     part : Vector

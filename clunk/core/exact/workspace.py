@@ -36,7 +36,7 @@ RUN = np.dtype(
         ("searches", np.int64),  # in its last step that are under way
         ("load", np.int64),  # its row of the loads
         ("piece", np.int64),  # of the load
-        ("ended", np.int64),  # how the last step did, see GOES_ON
+        ("ended", np.int64),  # how the last step did, see `rows.GOES_ON`
         ("guard", np.int64),  # the one that ended it, by an event
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
         ("last", np.float64),  # s, when the last event was
@@ -60,7 +60,7 @@ class Queues(NamedTuple):
 class Workspace(NamedTuple):
     """Runs under way, S at most, with what one thread needs to take steps with them.
 
-    N states, G guards, L lashes, W lanes.
+    N states, G guards, L lashes, W lanes; D drivelines, P pieces of a load; else as in `Flows`.
     """
 
     system: System  # of the first driveline: for all but `regimes.VARYING`, which `system_of` a run has
@@ -95,7 +95,7 @@ class Workspace(NamedTuple):
     shortest: FloatArray  # (K, W)  the shortest span of each flow
     drivelines: IntArray  # (W,)  of the items that have been taken, if they are mixed
     # what is read of these drivelines' tables, gathered by `functionals`: a column for each lane
-    lane_watch: FloatArray  # (F 5C, W)
+    lane_watch: FloatArray  # (F B WATCHED, W)
     lane_output_origins: FloatArray  # (4 F I, W)
     lane_state_origins: FloatArray  # (4 I C, W)
     lane_table: FloatArray  # (…, W)  any other

@@ -4,7 +4,7 @@ A lane is added to a lane, compared with it, and so on, by the operators, and wi
 comparison is an int, whose bits are the lanes where it holds. No operation here rounds otherwise than its scalar ones,
 and no sum is reordered: a run has the same bits on every processor, in any lane, beside any others.
 
-Vector are loaded from, and stored to, rows of a contiguous array.
+Vectors are loaded from, and stored to, rows of a contiguous array.
 """
 
 import operator

@@ -31,20 +31,21 @@ class Steps(NamedTuple):
     # bounds on what follows, by the amplitudes of M pairs of coordinates, see `exact.flows`
     settles: IntArray  # (K,)  whether they bound all that follows
     strides: IntArray  # (K,)  whether they bound a stride
-    mode_rows: FloatArray  # (K, columns, 2 M)  coordinates y of a state, of all pairs the one, then the other
+    mode_rows: FloatArray  # (K, columns, 2 M)  coordinates y of a state, first one member of each pair, then the other
     mode_reach: FloatArray  # (K, F, M)  largest change of a functional per unit amplitude of a pair
     mode_sag: FloatArray  # (K, F, M)  its largest distance from its chord over a stride, per unit amplitude
-    ramp_sag: FloatArray  # (K, 3, F)  and what a ramp adds, per unit of its torque and rate, then its change per rate
-    rest_functional: FloatArray  # (K, F, I)
+    # (K, 3 or 0, F)  and what a ramp adds, per unit of its torque and rate, then its change per rate
+    ramp_sag: FloatArray
+    rest_functional: FloatArray  # (K, F, I)  a functional in steady motion
 
 
 def build_steps(system: System, flows: Flows, step: float) -> tuple[System, Steps]:
     """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s.
 
-    flows : of the driveline, whose modes tell what can follow; of a load with ramps, without these
+    flows : of the driveline, whose modes tell what can follow; for a load with ramps, those without the ramps
     """
     stable, of_y, of_sag, *bounds = _bounds(system, flows, step)
-    # of 64 unstable steps, which no run takes, the tables may overflow: they are those of no step
+    # of STRIDE unstable steps, which no run takes, the tables may overflow: they are those of no step
     transfer, inputs = _propagators(system, step * stable)
     if not stable:
         system = system._replace(status=int(Status.UNSTABLE_STEP))

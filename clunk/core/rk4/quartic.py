@@ -38,8 +38,8 @@ def bisect(p: Quartic, low: float, high: float) -> float:
 def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
-    The zero of p''' cuts p'' into monotone pieces, whose zeros cut p' into such. One that there is not is the one
-    before, or 0.
+    The zero of p''' cuts p'' into monotone pieces, whose zeros cut p' into such. Where there are fewer than three,
+    those missing repeat the one before, or are 0.
     """
     slope = p[1], 2.0 * p[2], 3.0 * p[3], 4.0 * p[4], 0.0
     if abs(slope[0]) > length * (abs(slope[1]) + length * (abs(slope[2]) + length * abs(slope[3]))):

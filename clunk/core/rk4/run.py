@@ -4,9 +4,9 @@ On a linear regime a number of full steps is one precomputed matrix product. A s
 amplitudes of the modes bound how far guards and accelerations can be from their chords over it, and so show that no
 guard can turn negative, and no acceleration exceed its extremes. Else one step, whose product yields each guard's value
 and a bound on how far it bends within the step (`_coast`). Where that does not show it either, and right after every
-event, a step is expanded into its quartics, zeros are located by bisection, and
-the rest of the step is finished in the successor regime, so that the time grid stays at multiples of the step. Where
-another piece of the load begins, a step is cut short, and the grid begins anew.
+event, a step is expanded into its quartics, zeros are located by bisection, and the rest of the step is finished in the
+successor regime, so that the time grid stays at multiples of the step. Where another piece of the load begins, a step
+is cut short, and the grid begins anew.
 """
 
 from typing import NamedTuple

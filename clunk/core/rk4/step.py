@@ -1,4 +1,4 @@
-"""One short step through a regime, with everything in it located.
+"""One step of the grid, or what is left of one, through a regime, with everything in it located.
 
 The step is expanded into its Taylor polynomial of degree 4 in time. Guards and acceleration are then quartics.
 """
@@ -29,7 +29,7 @@ class Room(NamedTuple):
     shift: FloatArray  # (G,)
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
     # full steps
-    by_inputs: FloatArray  # what the inputs add in the phase to all that follows, see `Steps`:
+    by_inputs: FloatArray  # what the phase's inputs add to these, see `Steps`:
     affine: FloatArray  # (3, rows)  to no step, one and a stride
     modes_affine: FloatArray  # (2 M,)  to coordinates y
     steady_sag: FloatArray  # (F,)  to the sag of functionals over a stride
