@@ -157,7 +157,7 @@ def test_over_axes_the_worst_counts(brief):
 
 
 def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
-    monkeypatch.setattr(optimisation, "_FRONT", 5)
+    monkeypatch.setattr(optimisation, "_FRONT", 4)
     points = front(damped_ramp("load.duration", []), "severity").points
     durations, severities = ([best.quantities[name] for best in points] for name in ("load.duration", "severity"))
     assert len(points) > 2
