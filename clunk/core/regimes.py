@@ -31,6 +31,7 @@ from clunk.core.tables import (
     OF_FRICTION,
     RATE,
     TORQUE,
+    TORQUE_RATE,
     FlowOf,
     Friction,
     Lashes,
@@ -57,6 +58,9 @@ class System(NamedTuple):
     inputs: FloatArray  # (K, N, I)  B of each flow
     functionals: FloatArray  # (K, F, N)  C of each flow
     feedthrough: FloatArray  # (K, F, I)  D of each flow
+    # (K, F, 3, 2, N + I)  of each functional and its first two derivatives by time, what multiplies x and u, and what
+    # their magnitudes; no functional without frictions and rigid flanks
+    outputs: FloatArray
     functionals_per_lash: int
     lashes: FloatArray  # (L, N)  q' = lashes · x
     inertias: int  # n
@@ -105,6 +109,7 @@ VARYING = (
     "inputs",
     "functionals",
     "feedthrough",
+    "outputs",
     "lashes",
     "offsets",
     "weights",
@@ -268,7 +273,8 @@ def build_system(
         Whether one of them would slip in steady motion.
     """
     (*batch, n), twists, stride = inertia.shape, lashes.twists, functionals_of(lashes)
-    speeds, mechanical, wave = slice(n, 2 * n), 2 * n, 0 if wave_rates is None else 2
+    speeds, mechanical = slice(n, 2 * n), 2 * n
+    states = mechanical if wave_rates is None else mechanical + 2
     count, impulsive = twists.shape[-2], lashes.are_rigid
     constants, pressing = INPUTS + count - 1, lashes.stiffness[..., None] * twists
     rubbing = constants + len(staged)
@@ -278,7 +284,7 @@ def build_system(
 
     def by_speeds(array: FloatArray) -> FloatArray:
         """Rows that multiply θ, (…, n), as rows of θ' among all states."""
-        rows = np.zeros((*array.shape[:-1], mechanical + wave))
+        rows = np.zeros((*array.shape[:-1], states))
         rows[..., speeds] = array
         return rows
 
@@ -294,18 +300,18 @@ def build_system(
         torques[..., rubbing + OF_FRICTION * k] = -friction.twist
 
     def flow_of(flow: int) -> list[FloatArray]:
-        inputs = np.zeros((*batch, mechanical + wave, driven))
+        inputs = np.zeros((*batch, states, driven))
         inputs[..., speeds, :] = torques / inertia[..., None]
         for k in range(count):
             if every[flow].closed[k] and not impulsive:
                 inputs[..., speeds, half_gap_of(k)] = pressing[..., k, :] / inertia
-        matrices = chain(inertia, *chains[every[flow]], wave), inputs
+        matrices = chain(inertia, *chains[every[flow]], states - mechanical), inputs
         return [locked(matrix, inertia, tied, ties_in(flow)) for matrix in matrices]
 
     flows = range(len(every))
     rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, flows), strict=True))
     first_rate, stuck_stride = count * stride + len(staged), len(every) >> len(frictions)
-    functionals = np.zeros((*batch, len(every), first_rate + OF_FRICTION * len(frictions), mechanical + wave))
+    functionals = np.zeros((*batch, len(every), first_rate + OF_FRICTION * len(frictions), states))
     feedthrough = np.zeros((*functionals.shape[:-1], driven))
 
     def set_holding(flow: int, tie: int, functional: int) -> bool:
@@ -346,8 +352,16 @@ def build_system(
         rates[..., :mechanical, mechanical] = inputs[..., :mechanical, TORQUE]
         functionals[..., mechanical] = feedthrough[..., TORQUE]
 
+    motion = np.zeros((*rates.shape[:-2], states + driven, states + driven))  # of x and u
+    motion[..., :states, :states], motion[..., :states, states:] = rates, inputs
+    motion[..., states + TORQUE, states + TORQUE_RATE] = 1.0
+    rows = np.concatenate([functionals, feedthrough], axis=-1)[..., : None if frictions or impulsive else 0, :]
+    for k, friction in enumerate(frictions):  # also of a rate that others hold
+        rows[..., first_rate + OF_FRICTION * k + RATE, speeds] = friction.twist[..., None, :]
+    outputs = np.stack([_derivatives(rows, motion), _derivatives(abs(rows), abs(motion))], axis=-2)
+
     motions = rigid.shape.shape[-1]
-    steady = np.zeros((*batch, len(loose), mechanical + wave, driven))
+    steady = np.zeros((*batch, len(loose), states, driven))
     carried = np.zeros((*batch, len(loose), count, driven))
     gaps = np.zeros((count, driven))
     drag = (chains[every[0]][0] @ rigid.speeds[..., None])[..., 0]
@@ -378,6 +392,7 @@ def build_system(
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
+        outputs=outputs,
         functionals_per_lash=stride,
         lashes=joints[..., :count, :],
         inertias=n,
@@ -423,6 +438,11 @@ def _impacts(inertia: FloatArray, twists: FloatArray, sets: int) -> tuple[FloatA
             change[..., held, lash, :] = np.einsum("...k,...kn->...n", impulses, across)
             passed[..., held, lash, [lash, *bits]] = impulses
     return change, passed
+
+
+def _derivatives(rows: FloatArray, motion: FloatArray) -> FloatArray:
+    """(…, F, 3, N) the rows of functionals, (…, F, N), and of their first two derivatives where z' = motion z."""
+    return np.stack([rows, rows @ motion, rows @ motion @ motion], axis=-2)
 
 
 def _across(twist: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -278,7 +278,7 @@ def _locking_speed(at: Moment, regime: int, lash: int, fastest: float) -> float:
     tolerance = at.system.locking_speed[lash]
     tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest
     # a rebound lower than the rounding of the gap cannot be followed
-    pull, _ = rubbing.change_of(at, regime, at.system.lashes[lash])
+    pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
     _, place = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
     return float(max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place)))
 
@@ -287,8 +287,8 @@ def _locking_speed(at: Moment, regime: int, lash: int, fastest: float) -> float:
 def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, float]:
     """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it."""
     force = lash * at.system.functionals_per_lash + FORCE
-    torque_held, scale = rubbing.holding(at, regime, force)
-    return torque_held, rubbing.holding_slope(at, regime, force)[0], scale
+    torque_held, scale = rubbing.derivative(at, regime, force, 0)
+    return torque_held, rubbing.derivative(at, regime, force, 1)[0], scale
 
 
 @part

@@ -39,8 +39,6 @@ from clunk.core.tables import (
     SLIPS_BACKWARD,
     SLIPS_FORWARD,
     STICKS,
-    TORQUE,
-    TORQUE_RATE,
 )
 
 _WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
@@ -103,7 +101,9 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     for k in range(count):
         if not (k == event or sticking >> k & 1):
             rate, most = _rate(system, system.frictions[k], 0.0, x)
-            most += change_of(at, regime, system.frictions[k])[1] * at.time  # no rate is known better than its time
+            most += (
+                derivative(at, regime, rate_of_friction(system, k), 1)[1] * at.time
+            )  # no rate is known better than its time
             if abs(rate) > _WITHIN * most:
                 continue
         resting |= 1 << k
@@ -118,9 +118,9 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
                 inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
         elif resting >> k & 1 and not _is_held(system, best, rate_of_friction(system, k)):
             way = 1.0 if state == SLIPS_FORWARD else -1.0
-            speeds_up, size = change_of(at, best, system.frictions[k])
+            speeds_up, size = derivative(at, best, rate_of_friction(system, k), 1)
             clearly = abs(speeds_up) > _WITHIN * size
-            sets_off = clearly or way * _jerk(at, best, k) > 0.0
+            sets_off = clearly or way * derivative(at, best, rate_of_friction(system, k), 2)[0] > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             elif not clearly:
@@ -209,8 +209,8 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     if system.contacts[regime, lash].closed == 0:
         way = -way
     functional = lash * system.functionals_per_lash + FORCE
-    torque, size = holding(at, regime, functional)
-    slope, slope_size = holding_slope(at, regime, functional)
+    torque, size = derivative(at, regime, functional, 0)
+    slope, slope_size = derivative(at, regime, functional, 1)
     size += slope_size * at.time
     if -way * torque > _WITHIN * size:
         return float(-way * torque / size)
@@ -227,7 +227,7 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
     system, most, way = at.system, at.system.friction_torques[friction], 1.0
     state, functional = state_of_friction(system, regime, friction), rate_of_friction(system, friction)
     if state == STICKS:
-        torque, size = holding(at, regime, functional + HOLDING)
+        torque, size = derivative(at, regime, functional + HOLDING, 0)
         beyond, size, way = abs(torque) - most, size + most, -torque
         # rigid flanks: at F, and not only at the little more that it holds
         limit = most if system.impulsive == 0 else most / (1.0 + ABOVE)
@@ -236,72 +236,30 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
         return 0.0
     else:
         way = 1.0 if state == SLIPS_FORWARD else -1.0
-        speeds_up, size = change_of(at, regime, system.frictions[friction])
+        speeds_up, size = derivative(at, regime, functional, 1)
         beyond = -way * speeds_up
         is_at_limit = beyond > -_WITHIN * size
     if beyond > _WITHIN * size:
         return float(beyond / size)
     if not is_at_limit:
         return 0.0
-    onwards = holding_slope(at, regime, functional + HOLDING)[0] if state == STICKS else _jerk(at, regime, friction)
-    return _WITHIN if way * onwards < 0.0 else 0.0
+    onwards = (
+        derivative(at, regime, functional + HOLDING, 1) if state == STICKS else derivative(at, regime, functional, 2)
+    )
+    return _WITHIN if way * onwards[0] < 0.0 else 0.0
 
 
 @part
-def holding(at: Moment, regime: int, functional: int) -> tuple[float, float]:
-    """A torque that holds a friction or flanks in a regime, and the sum of its terms' magnitudes  [N m]."""
-    system, flow = at.system, at.system.regimes[regime].flow
-    return _total(at, regime, system.functionals[flow, functional], system.feedthrough[flow, functional])
-
-
-@part
-def _total(at: Moment, regime: int, by_state: FloatArray, by_inputs: FloatArray) -> tuple[float, float]:
-    """What a state, and the inputs by their weights in a regime, amount to; and the sum of its terms' magnitudes."""
-    value, size = 0.0, 0.0
-    for k in range(at.x.size):
-        term = by_state[k] * at.x[k]
-        value, size = value + term, size + abs(term)
+def derivative(at: Moment, regime: int, functional: int, order: int) -> tuple[float, float]:
+    """A functional's derivative by time in a regime, of order 0, 1 or 2, and the sum of its terms' magnitudes."""
+    rows, size = at.system.outputs[at.system.regimes[regime].flow, functional, order], at.x.size
+    value, magnitude = 0.0, 0.0
+    for k in range(size):
+        value, magnitude = value + rows[0, k] * at.x[k], magnitude + rows[1, k] * abs(at.x[k])
     for k in range(at.inputs.size):
-        term = by_inputs[k] * (at.system.weights[regime, k] * at.inputs[k])
-        value, size = value + term, size + abs(term)
-    return value, size
-
-
-@part
-def holding_slope(at: Moment, regime: int, functional: int) -> tuple[float, float]:
-    """The rate of change of `holding`, and the sum of its terms' magnitudes  [N m/s]."""
-    system, flow = at.system, at.system.regimes[regime].flow
-    return _slope(at, regime, system.functionals[flow, functional], system.feedthrough[flow, functional])
-
-
-@part
-def _slope(at: Moment, regime: int, by_state: FloatArray, by_inputs: FloatArray) -> tuple[float, float]:
-    """The rate of change of `_total`, and the sum of its terms' magnitudes."""
-    value, size = change_of(at, regime, by_state)
-    by_load = by_inputs[TORQUE] * at.inputs[TORQUE_RATE]
-    return value + by_load, size + abs(by_load)
-
-
-@part
-def change_of(at: Moment, regime: int, weights: FloatArray) -> tuple[float, float]:
-    """The rate of change in a regime of weights (N,) times the state, and the sum of its terms' magnitudes."""
-    system, flow, value, size = at.system, at.system.regimes[regime].flow, 0.0, 0.0
-    for k in range(at.x.size):
-        if weights[k] != 0.0:
-            change, terms = _total(at, regime, system.rates[flow, k], system.inputs[flow, k])
-            value, size = value + weights[k] * change, size + abs(weights[k]) * terms
-    return value, size
-
-
-@part
-def _jerk(at: Moment, regime: int, friction: int) -> float:
-    """The third derivative of a friction's twist in a regime  [rad/s3]."""
-    system, flow, value = at.system, at.system.regimes[regime].flow, 0.0
-    for k in range(system.inertias, 2 * system.inertias):
-        weight = system.frictions[friction, k]
-        if weight != 0.0:
-            value += weight * _slope(at, regime, system.rates[flow, k], system.inputs[flow, k])[0]
-    return value
+        weighed = at.system.weights[regime, k] * at.inputs[k]
+        value, magnitude = value + rows[0, size + k] * weighed, magnitude + rows[1, size + k] * abs(weighed)
+    return value, magnitude
 
 
 @part
