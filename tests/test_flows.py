@@ -156,8 +156,16 @@ class Flow:
             z.append(across @ z[-1])
         return (self.units * np.array(z))[:, : self.size]
 
+    def apart(self, x):
+        """Angles and speeds less what they have rolled by, which stands at the first inertia that rolls."""
+        if not self.rolling.size:
+            return x
+        n, shape = self.size // 2, self.rolling[: self.size // 2]
+        first = x.reshape(2, n, -1)[:, self.first, None]
+        return (x.reshape(2, n, -1) - first * (shape - np.eye(n)[:, [self.first]])).reshape(x.shape)
+
     def enter(self, x, u):
-        return self.coordinates.T @ (x - self.origin[0] @ u)
+        return self.coordinates.T @ (self.apart(x) - self.origin[0] @ u)
 
     def amplitudes(self, work):
         """(C/2, W), of coordinates."""

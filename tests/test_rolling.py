@@ -151,6 +151,15 @@ def test_a_truck_that_rolls_fast_touches_at_the_times_that_rk4_finds(drag, durat
     assert balance(exact).relative_residual < 1e-8
 
 
+@pytest.mark.parametrize("drag", [0.2, 2.0, 20.0])
+def test_a_truck_that_rolls_fast_has_the_events_of_the_reference(drag):
+    """At up to 1.3 million rad/s of the engine, rounded to 1e-10: that is some 1e-11 s of flanks, here ten times so."""
+    plant = replace(TRUCK, shafts=(*TRUCK.shafts[:-1], (8, "ground", 0.0, drag)), profile=reference.ramp(0.3))
+    run, (events, _) = simulate(study_of(plant, end_time=2.0)), reference.run(plant, 2.0)
+    assert [run.kind_name(k) for k in range(len(run.events))] == [event.kind for event in events]
+    assert run.events["time"] == pytest.approx([event.time for event in events], abs=1e-10)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_truck_that_slows_down_for_minutes_is_known_to_be_done(method):
     """Its slowest mode, 0.04 1/s, moves neither gap nor acceleration."""

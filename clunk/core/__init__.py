@@ -7,9 +7,9 @@ in reading order: `tables` (elements, and regimes as combinations of their state
 an event), `rigid` (impacts and releases of rigid flanks), `rubbing` (which flanks stay locked and which frictions stick
 then), then one of two methods, and `sequence` (which impacts are primary, and the label), `tile` (many runs, and their
 Q and V), `jit` (how all of it is compiled, once for all drivelines), `partial` (all that reaches into numba's inner
-parts, without which it takes longer), `references` (systems and workspaces as arguments) and `arrays` (their types).
-Kernels allocate nothing: what calls them makes their room. `simulation.driveline` prepares the system, and the tables
-of a method.
+parts, without which it takes longer), `references` (systems and workspaces as arguments), `arrays` (their types) and
+`sums`. Kernels allocate nothing: what calls them makes their room. `simulation.driveline` prepares the system, and the
+tables of a method.
 
 Both methods share the system, its guards, the preload, what happens at an event (`switching`, `rigid`, `rubbing`), the
 label, and the modes by which RK4 knows that nothing follows, at all or for some steps. They differ in how they flow,

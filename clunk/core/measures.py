@@ -27,6 +27,7 @@ from clunk.core.rigid import held_with
 from clunk.core.runs import begin_wave, end_of_piece, piece_at, set_gaps, set_torque
 from clunk.core.severity import root_of_squares
 from clunk.core.status import Status
+from clunk.core.sums import combine, copy
 from clunk.core.switching import set_weighed
 from clunk.core.tile import Batch, Cases, Output
 
@@ -134,8 +135,7 @@ def _measure(
         room.row[lash] = room.first[lash] - 1
     for e in range(written):
         event = events[e]
-        for j in range(n):
-            x[j] = output.states[k, e, j]
+        copy(output.states[k, e, :n], x)
         if channels.of_impacts != 0 and event.lash >= 0:
             _add_event(system, channels, driveline, events[:written], output.states[k], e, output.impacts, room)
         time, end = event.time, system.end_time[0]
@@ -225,7 +225,7 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
         level = LEVELS - 1
         for c in range(len(room.ranges)):
             if c // OF_LASH >= lashes or _bears(system, regime, c // OF_LASH, room):
-                _multiply(rows[c], z, room.series[c])
+                combine(rows[c], z, room.series[c])
                 while level > 0 and not _is_smooth(room.series[c], 2.0**level):
                     level -= 1
         while level > 0 and length * 2.0**level > span - elapsed:
@@ -246,7 +246,7 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
         if share < 1.0:
             _move_within(channels.rates[driveline, flow], share, room)
             break
-        _multiply(channels.steps[driveline, flow, level], z, room.moved[0])
+        combine(channels.steps[driveline, flow, level], z, room.moved[0])
         for j in range(z.size):
             z[j] = room.moved[0, j]
         elapsed += share * length
@@ -272,23 +272,12 @@ def _is_smooth(series: FloatArray, share: float) -> bool:
 def _move_within(rates: FloatArray, share: float, room: Room) -> None:
     """Move z by a share of a step, by its series."""
     term, following = room.moved[0], room.moved[1]
-    for j in range(term.size):
-        term[j] = room.z[j]
+    copy(room.z, term)
     for k in range(1, TERMS):
-        _multiply(rates, term, following)
+        combine(rates, term, following)
         for j in range(term.size):
             term[j] = following[j] * share / k
             room.z[j] += term[j]
-
-
-@part
-def _multiply(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
-    """Set `product` to vector · columns."""
-    product[:] = 0.0
-    for j in range(vector.size):
-        weight = vector[j]
-        for i in range(product.size):
-            product[i] += weight * columns[j, i]
 
 
 # --- Polynomials over an interval that begins at zero, by their coefficients, lowest order first ----------------------

@@ -12,6 +12,7 @@ from clunk.core.arrays import FloatArray
 from clunk.core.batches import alike
 
 _FITS = 1e-9  # a rate across a lash, relative to those of its ends, that is rounding
+_ROUNDING = 1e-12  # of the terms of a product
 
 
 def chain(inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, wave: int = 0) -> FloatArray:
@@ -88,3 +89,10 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
     # for the angles, and for the speeds
     expand, pick = (np.asarray(np.kron(np.eye(2), matrix), np.float64) for matrix in (basis, pick))
     return Reduction(expand, pick, shift)
+
+
+def product(one: FloatArray, other: FloatArray) -> FloatArray:
+    """A product that is zero to the last bit where only rounding is left."""
+    result: FloatArray = one @ other
+    result[np.abs(result) <= _ROUNDING * (np.abs(one) @ np.abs(other))] = 0.0
+    return result

@@ -22,6 +22,7 @@ from clunk.core.equilibrium import preload
 from clunk.core.jit import inlined_part, part
 from clunk.core.reductions import chain, locked
 from clunk.core.status import Status
+from clunk.core.sums import weigh
 from clunk.core.tables import (
     ACCELERATION,
     FORCE,
@@ -150,6 +151,19 @@ def turn_back(system: System, x: FloatArray) -> float:
     return float(angle)
 
 
+def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
+    """What takes from angles and speeds the rolling, which then stands at the first inertia that rolls; its inverse.
+
+    size : of the states, N
+
+    Returns (…, N, N) and (…, N, N) float64.
+    """
+    n, first = system.inertias, system.first_rolling
+    together = np.zeros((*system.drift.shape[:-2], size, size)) + np.eye(size)
+    together[..., :n, first] = together[..., n : 2 * n, n + first] = system.drift[..., :n, 0]
+    return 2.0 * np.eye(size) - together, together
+
+
 @inlined_part
 def state_of_friction(system: System, regime: int, friction: int) -> int:
     """The state of a friction in a regime: one of `tables.STICKS` and those behind it."""
@@ -186,10 +200,7 @@ def lash_of(system: System, regime: int, guard: int) -> int:
 @inlined_part
 def speed_of(system: System, lash: int, x: FloatArray) -> float:
     """The speed q' of a lash  [rad/s]."""
-    speed = 0.0
-    for k in range(x.size):
-        speed += system.lashes[lash, k] * x[k]
-    return float(speed)
+    return weigh(system.lashes[lash], x)
 
 
 @inlined_part

@@ -8,6 +8,7 @@ from clunk.core.arrays import FloatArray, Records
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, gap_input, roll
 from clunk.core.sequence import take_event
+from clunk.core.sums import copy
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 # Columns of a load's pieces: from BEGIN [s after the load step] until the next piece begins, the torque is
@@ -119,8 +120,7 @@ def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, l
     event.side = side
     event.primary = int(lash >= 0 and take_event(log.courses[lash], event, at.system.sticking_time[lash]))
     if log.states.shape[0] > k:
-        for j in range(at.x.size):
-            log.states[k, j] = at.x[j]
+        copy(at.x, log.states[k])
 
 
 @part

@@ -30,15 +30,6 @@ MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what ha
 
 
 @inlined_part
-def weigh(weights: FloatArray, inputs: FloatArray) -> float:
-    """The sum of the weights times inputs."""
-    total = weights[0] * inputs[0]
-    for k in range(1, weights.size):
-        total += weights[k] * inputs[k]
-    return float(total)
-
-
-@inlined_part
 def set_weighed(system: System, regime: int, inputs: FloatArray, u: FloatArray) -> None:
     """Set `u` to what a regime makes of the inputs of a run."""
     for k in range(u.size):

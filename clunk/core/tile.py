@@ -29,6 +29,7 @@ from clunk.core.rk4.step import Room, make_room
 from clunk.core.runs import Log, Outcome, Start
 from clunk.core.sequence import COURSE, INITIAL, OPPOSITE
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
+from clunk.core.sums import copy
 
 _OK = int(Status.OK)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
@@ -282,8 +283,7 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
     status, regime = system.status, 0
     if cases.regimes.size > 0:
         status, regime = _OK, cases.regimes[k]
-        for j in range(x.size):
-            x[j] = cases.states[k, j]
+        copy(cases.states[k], x)
     elif status == _OK:
         status, regime = switching.preload(system, cases.before[k], x)
     for lash in range(system.lash_count):
@@ -315,11 +315,10 @@ def _finish(
     """
     for i in range(outcome.written if output.logs.size > 0 else 0):
         output.logs[k, i] = log.events[i]
-        for j in range(output.states.shape[2]):
-            output.states[k, i, j] = log.states[i, j]
+        if output.states.size > 0:
+            copy(log.states[i], output.states[k, i])
         for lash in range(output.extremes.shape[2]):
-            output.extremes[k, i, lash, 0] = log.extremes[i, lash, 0]
-            output.extremes[k, i, lash, 1] = log.extremes[i, lash, 1]
+            copy(log.extremes[i, lash], output.extremes[k, i, lash])
     if output.ends.size > 0:
         output.ends[k] = outcome.end
     cells, impacts, nearest, total, count = output.cells[k], output.impacts, np.inf, 0, 0

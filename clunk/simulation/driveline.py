@@ -13,8 +13,8 @@ import numpy.typing as npt
 from clunk.core import tables
 from clunk.core.batches import alike
 from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
-from clunk.core.reductions import Reduction, chain, constrained, locked
-from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system
+from clunk.core.reductions import Reduction, chain, constrained, locked, product
+from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, rolling_apart
 from clunk.core.status import Status
 from clunk.core.tables import Friction, StagedShaft
 from clunk.simulation import rigid
@@ -322,7 +322,25 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     if rates is not None and alike(np.abs(rates).max(axis=(-2, -1)) * system.end_time[..., 0] > _FAST, 0):
         spans = MORE_SPANS
     states = system.rates.shape[-1] if rates is not None else 2 * system.inertias  # without a ramp that is no input
+    if system.drift.size:
+        system, chains = _rolling_apart(system, chains)
     return build_flows(system, chains, held, states, spans)
+
+
+def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Chain]]:
+    """A driveline that rolls, with angles and speeds less what they have rolled by, see `regimes.rolling_apart`."""
+    n, size = system.inertias, system.rates.shape[-1]
+    apart, together = (matrix[..., None, :, :] for matrix in rolling_apart(system, size))
+    system = system._replace(
+        rates=apart @ system.rates @ together,
+        inputs=apart @ system.inputs,
+        functionals=product(system.functionals, together),
+    )
+    apart, together = apart[..., 0, : 2 * n, : 2 * n], together[..., 0, : 2 * n, : 2 * n]
+    return system, [
+        chain._replace(expand=apart @ chain.expand, pick=chain.pick @ together, shift=apart @ chain.shift)
+        for chain in chains
+    ]
 
 
 def held_inputs(lashes: int, frictions: int, inputs: int) -> list[int]:

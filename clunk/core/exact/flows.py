@@ -9,8 +9,9 @@ and on that no derivative depends. So a functional's nth derivative stays within
 at any earlier time.
 
 The angle that a driveline rolls by, if nothing holds it, moves no functional. It is kept in units so large that it adds
-nothing to an amplitude. In states that come of coordinates it stands apart, at the first inertia that rolls: the other
-angles are less their share of it, so that they have their digits however far it goes.
+nothing to an amplitude. In the states that these tables are for, it and its speed stand apart, at the first inertia
+that rolls, see `regimes.rolling_apart`: the other angles and speeds are less their share of these, so that they have
+their digits however far and fast it rolls.
 
 Four pairs of coordinates lie together: first the one member of each, then the other, as [a0 a1 a2 a3 b0 b1 b2 b3].
 
@@ -29,6 +30,7 @@ from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.batches import UnlikeError, alike
 from clunk.core.jit import compiled, inlined_part
 from clunk.core.lanes.vectors import ROW
+from clunk.core.reductions import product
 from clunk.core.regimes import System
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
@@ -111,7 +113,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int], states: in
     spans : SPANS or MORE_SPANS
     """
     many, (flows, count, driven) = system.feedthrough.shape[:-3] or (1,), system.feedthrough.shape[-3:]
-    blocks, n = -(-states // ROW), system.inertias
+    blocks = -(-states // ROW)
     size = blocks * ROW
 
     def room(*shape: int) -> FloatArray:
@@ -142,25 +144,9 @@ def build_flows(system: System, chains: list[Chain], held: list[int], states: in
         inertia = np.broadcast_to(chain.inertia, (*many, chain.inertia.shape[-1]))
         _fill(Flows._make(table[:, k] for table in tables), matrices, chain._replace(inertia=inertia), held)
     _propagate(tables.generator, tables.propagator)
-    if system.drift.size:
-        rolling = system.drift[..., :n, 0].reshape(-1, n)
-        _set_rolling_apart(tables.basis, rolling)
-        _set_rolling_apart(tables.origin, rolling)
-        tables.origin[:, :, 0, :, np.flatnonzero(rolling[0])[0]] = 0.0  # it begins with the phase
+    if system.first_rolling >= 0:
+        tables.origin[:, :, 0, :, system.first_rolling] = 0.0  # it begins with the phase
     return tables
-
-
-def _set_rolling_apart(states: FloatArray, rolling: FloatArray) -> None:
-    """Write the angle that states (D, …, N) have rolled by in place of that of the first inertia that rolls.
-
-    It is taken from the other angles, which become zero to the last bit where only rounding is left.
-    """
-    n, first = rolling.shape[-1], np.flatnonzero(alike(rolling != 0.0))[0]
-    rolled = states[..., first, None] * rolling.reshape(-1, *(1,) * (states.ndim - 2), n)
-    angles = states[..., :n] - rolled
-    angles[np.abs(angles) <= _ROUNDING * np.abs(rolled)] = 0.0
-    states[..., :n] = angles
-    states[..., first] = rolled[..., first]
 
 
 class _Scaled(NamedTuple):
@@ -182,18 +168,17 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     """
     rates, inputs, functionals, feedthrough = matrices
     scaled, unforced = _scale(chain), chain.shift.shape[-2]  # states but for a wave's
-    into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
+    times, seen = product if chain.rigid.size else np.matmul, functionals[..., :unforced]
+    into, back = times(scaled.into, chain.pick), times(chain.expand, scaled.back)
     forcing = inputs[:, :unforced].copy()
     forcing[..., held] += rates[:, :unforced, :unforced] @ chain.shift
     origin = back[:, None] @ _particular(scaled, into @ forcing)
     origin[:, 0][..., held] += chain.shift
     tables.origin[..., :unforced] = origin.swapaxes(-1, -2)
-    tables.origin_output[:] = _outputs(functionals[:, None, :, :unforced], origin, chain)
+    tables.origin_output[:] = times(seen[:, None], origin)
     tables.origin_output[:, 0] += feedthrough
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
-    tables.steady[:] = alike(
-        ~_outputs(functionals[..., :unforced], back[..., scaled.drift], chain).any(axis=(-2, -1)), 0
-    )
+    tables.steady[:] = alike(~times(seen, back[..., scaled.drift]).any(axis=(-2, -1)), 0)
 
     modes = _modes(scaled)
     if modes is None:
@@ -202,8 +187,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
         vectors, inverse, block = modes
         into, back = inverse @ into, back @ vectors
     modal = modes is not None
-    seen = _outputs(functionals[..., :unforced], back, chain)
-    unseen = alike(~np.any(block, axis=-2) & ~np.any(seen, axis=-2))
+    unseen = alike(~np.any(block, axis=-2) & ~np.any(times(seen, back), axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
     if rates.shape[-1] > unforced:
@@ -229,7 +213,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     tables.coordinates[..., place], basis[:, place, :states] = into.swapaxes(-1, -2), back.swapaxes(-1, -2)
     generator[:, place[:, None], place] = shortest[:, None, None] * block
 
-    derivatives = [_outputs(functionals, basis[..., :states].swapaxes(-1, -2), chain)]  # by time over the shortest span
+    derivatives = [times(functionals, basis[..., :states].swapaxes(-1, -2))]  # by time over the shortest span
     for _ in range(1, TERMS):
         derivatives.append(derivatives[-1] @ generator)
     tables.series[..., :TERMS] = np.stack(derivatives, axis=-1) * _TAYLOR
@@ -240,14 +224,6 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, held: list[in
     values = slow[: THIRD // ROW].reshape(-1, *blocks, ROW)
     tables.watch[..., :THIRD] = np.moveaxis(values, 0, -2).reshape(*blocks, -1)
     tables.watch[..., THIRD:] = np.moveaxis(bounds, 0, -2).reshape(*blocks, -1)
-
-
-def _outputs(functionals: FloatArray, columns: FloatArray, chain: Chain) -> FloatArray:
-    """The functionals of some states; of a driveline that rolls, zero to the last bit where only rounding is left."""
-    outputs: FloatArray = functionals @ columns
-    if chain.rigid.size:
-        outputs[np.abs(outputs) <= _ROUNDING * (np.abs(functionals) @ np.abs(columns))] = 0.0
-    return outputs
 
 
 def halves(rows: Any) -> Any:
@@ -368,15 +344,18 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     eigenvalues, shapes = np.empty((count, modes.size), complex), np.empty((count, half, modes.size), complex)
     damping, stiffness = -generator[:, half:, half:], -generator[:, half:, :half] * frequency[:, None]
     _ring(stiffness, damping, modes, eigenvalues, shapes, np.empty((half, half), complex))
-    if alike(np.isfinite(eigenvalues).all(axis=-1), 0):
-        vectors = np.concatenate([frequency[..., None] * shapes, eigenvalues[:, None] * shapes], axis=1)
-        vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    else:
-        kept = generator.take(stays, axis=-1)
-        eigenvalues, right = np.linalg.eig(kept.take(stays, axis=-2))
-        vectors = np.zeros((count, size, stays.size), right.dtype)
+    vectors = np.concatenate([frequency[..., None] * shapes, eigenvalues[:, None] * shapes], axis=1)
+    if not alike(np.isfinite(eigenvalues).all(axis=-1), 0):
+        own, own_vectors, kept = eigenvalues, vectors, generator.take(stays, axis=-1)
+        eigenvalues, right = (array.astype(complex) for array in np.linalg.eig(kept.take(stays, axis=-2)))
+        vectors = np.zeros((count, size, stays.size), complex)
         vectors[:, stays] = right
         vectors[:, moved] = kept.take(moved, axis=-2) @ right / eigenvalues[:, None]
+        for n in np.flatnonzero(drift[modes]):  # a rate of rolling is tiny, and LAPACK's rounding that of the largest
+            known = np.flatnonzero(np.isfinite(own[:, n]))
+            same = np.abs(eigenvalues[known] - own[known, n, None]).argmin(axis=-1)
+            eigenvalues[known, same], vectors[known, :, same] = own[known, n], own_vectors[known, :, n]
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     omega = eigenvalues.imag
     order = np.lexsort((-np.abs(eigenvalues), omega == 0.0, omega < 0.0))  # the conjugates are last
     eigenvalues = np.take_along_axis(eigenvalues, order, axis=-1)

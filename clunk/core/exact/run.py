@@ -20,7 +20,7 @@ from clunk.core.exact.workspace import Workspace, lash_at, log_of, system_at, sy
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import gap_input
+from clunk.core.regimes import gap_input, roll, turn_back
 from clunk.core.runs import (
     Entry,
     Moment,
@@ -33,7 +33,8 @@ from clunk.core.runs import (
     set_torque,
 )
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, set_weighed, switch, weigh
+from clunk.core.sums import copy, weigh
+from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, set_weighed, switch
 
 _OK = int(Status.OK)
 _NON_FINITE = int(Status.NON_FINITE)
@@ -76,8 +77,10 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         _take_events(space, slot, row.count, entry.written)
     regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
-    for k in range(x.size):
-        space.numbers[slot, k] = x[k]  # a state for now; `moving.to_coordinates` makes coordinates of it
+    copy(x, space.numbers[slot])  # a state for now; `moving.to_coordinates` makes coordinates of it
+    if system.first_rolling >= 0:
+        speeds = space.numbers[slot, system.inertias :]
+        speeds[system.first_rolling] = turn_back(system, speeds)
     numbers[rows.ELAPSED], numbers[rows.TRY] = 0.0, np.inf
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     entered = system.regimes[regime]
@@ -155,8 +158,10 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
     at, log = Moment(system, time, x, space.inputs[slot]), log_of(space, slot)
     if system.first_rolling >= 0:
-        row.rolled += x[system.first_rolling]
-        x[system.first_rolling] = 0.0
+        first, speeds = system.first_rolling, x[system.inertias :]
+        row.rolled += x[first]
+        speed, x[first], speeds[first] = speeds[first], 0.0, 0.0
+        roll(system, speed, speeds)
     for k in range(x.size):
         total += abs(x[k])
     if not np.isfinite(total):

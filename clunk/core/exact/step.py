@@ -36,6 +36,7 @@ from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
 from clunk.core.regimes import ROUNDING, lash_of
 from clunk.core.status import QUALITY_GRAZING
+from clunk.core.sums import copy
 from clunk.core.tables import ACCELERATION
 
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
@@ -452,12 +453,11 @@ def _begin_search(
         mask &= mask - 1
         slot = space.pool.items[lane]
         item = slot * space.searches_each + search
-        for k in range(space.behind):
-            space.searches[item, k] = space.numbers[slot, k]
+        copy(space.numbers[slot, : space.behind], space.searches[item])
         for k in range(rows.OF_A_SEARCH):
             space.searches[item, space.behind + k] = space.notes[k, lane]
-        for k in range(system.input_count):
-            space.searches[item, space.behind + rows.OF_A_SEARCH + k] = space.numbers[slot, space.inputs_at + k]
+        inputs = space.numbers[slot, space.inputs_at : space.inputs_at + system.input_count]
+        copy(inputs, space.searches[item, space.behind + rows.OF_A_SEARCH :])
         space.runs[slot].searches += 1
         push(space.pool, queue + _functional(space, regime, n), item)
 

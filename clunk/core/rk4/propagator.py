@@ -6,7 +6,7 @@ import numpy as np
 
 from clunk.core.arrays import ComplexArray, FloatArray, IntArray
 from clunk.core.exact.flows import CURVATURE, PAIRS, SWAY, Flows, halves
-from clunk.core.regimes import System
+from clunk.core.regimes import System, rolling_apart
 from clunk.core.status import Status
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
@@ -130,6 +130,8 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     steady = flows.origin[:, 0, :, :states] @ flows.coordinates  # of y, by the inputs
     rows = np.zeros((len(steady), _padded(size), steady.shape[-1]))
     rows[:, :states] = flows.coordinates
+    if system.drift.size:
+        rows[:, :states] = rolling_apart(system, states)[0].T @ rows[:, :states]
     bent, bends_on = parabola * flows.origin_output[:, 2:].transpose(1, 0, 3, 2)
     of_ramp = np.zeros((len(steady), 3 if states < size else 0, pairs[1]))
     if states < size:

@@ -34,7 +34,8 @@ from clunk.core.runs import (
     set_torque,
 )
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch, weigh
+from clunk.core.sums import combine, copy, weigh
+from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch
 from clunk.core.tables import ACCELERATION
 
 _OK = int(Status.OK)
@@ -87,7 +88,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             begin_windows(log, k)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(room, system, entry.regime)
-        _combine(steps.by_inputs[flow], room.weighed, room.by_inputs)
+        combine(steps.by_inputs[flow], room.weighed, room.by_inputs)
         extremes = log.extremes[entry.written - 1]
         while True:
             length, spanned = _next_length(grid, index, offset)
@@ -103,10 +104,9 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             index, offset, zero_guard = index + spanned, 0.0, -1
 
             # full steps as long as nothing can happen in them
-            for k in range(x.size):
-                room.z[k] = x[k]
+            copy(x, room.z)
             _advance(steps.transfer[flow, IN_PLACE], room.affine[IN_PLACE], room.z, room.after)
-            _take(room)
+            copy(room.after, room.z)
             clear, over = True, False
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
@@ -118,8 +118,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                     return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
                     over = _is_settled(system, steps, entry.regime, room, extremes)
-            for k in range(x.size):
-                x[k] = room.z[k]
+            copy(room.z[: x.size], x)
             if over:
                 return Outcome(_OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
             if index >= grid.last:
@@ -210,15 +209,6 @@ def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
     return length, 1
 
 
-@part
-def _combine(weights: FloatArray, numbers: FloatArray, out: FloatArray) -> None:
-    """out = weightsᵀ numbers."""
-    out[:] = 0.0
-    for k in range(numbers.size):
-        for r in range(out.size):
-            out[r] += weights[k, r] * numbers[k]
-
-
 @inlined_part
 def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray) -> None:
     """out = affine + transferᵀ z. Summed in pairs, eight columns at a time, which LLVM vectorises."""
@@ -260,7 +250,8 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
             _bound_stride(steps, row.flow, 2 * system.inertias, room)
         else:
             for functional in range(sag.size):
-                sag[functional] = _bend(z, columns + 4 * functional)
+                at = columns + 4 * functional
+                sag[functional] = abs(z[at + 1]) + abs(z[at + 2]) + abs(z[at + 3])
         clear = _guards_exceed(room, row.guards, columns, z)
         if clear:
             table = STRIDES if is_stride else STEP
@@ -274,20 +265,13 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
                 if clear:
                     _watch(z, after, at, own)
         if clear:
-            _take(room)
+            copy(room.after, room.z)
             taken += STRIDE if is_stride else 1
         elif is_stride:
             next_stride = taken + _BEFORE_NEXT_STRIDE
         else:
             break
     return taken
-
-
-@inlined_part
-def _take(room: Room) -> None:
-    """Take a step or a stride: from `room.z` to `room.after`."""
-    for k in range(room.z.size):
-        room.z[k] = room.after[k]
 
 
 @inlined_part
@@ -312,11 +296,6 @@ def _guards_exceed(room: Room, guards: int, columns: int, z: FloatArray) -> bool
         if not room.sign[g] * z[columns + room.at[g]] + room.shift[g] > room.reach[room.at[g] // 4]:
             return False
     return True
-
-
-@inlined_part
-def _bend(z: FloatArray, at: int) -> float:
-    return float(abs(z[at + 1]) + abs(z[at + 2]) + abs(z[at + 3]))
 
 
 @inlined_part

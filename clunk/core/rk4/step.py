@@ -13,7 +13,8 @@ from clunk.core.jit import part
 from clunk.core.regimes import ROUNDING, System
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import Steps
-from clunk.core.switching import set_weighed, weigh
+from clunk.core.sums import weigh
+from clunk.core.switching import set_weighed
 from clunk.core.tables import ACCELERATION
 
 

@@ -1,0 +1,29 @@
+"""Sums of products, and copies, of a few numbers: within kernels, which allocate nothing."""
+
+from clunk.core.arrays import FloatArray
+from clunk.core.jit import inlined_part, part
+
+
+@inlined_part
+def weigh(weights: FloatArray, numbers: FloatArray) -> float:
+    """The sum of the weights times numbers."""
+    total = weights[0] * numbers[0]
+    for k in range(1, weights.size):
+        total += weights[k] * numbers[k]
+    return float(total)
+
+
+@part
+def combine(rows: FloatArray, numbers: FloatArray, to: FloatArray) -> None:
+    """Set `to` to the sum of the rows times numbers."""
+    to[:] = 0.0
+    for k in range(numbers.size):
+        for r in range(to.size):
+            to[r] += rows[k, r] * numbers[k]
+
+
+@inlined_part
+def copy(numbers: FloatArray, to: FloatArray) -> None:
+    """Copy numbers to where there is room for as many or more."""
+    for k in range(numbers.size):
+        to[k] = numbers[k]
