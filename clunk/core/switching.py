@@ -153,6 +153,36 @@ def is_instant(at: Moment, last: float) -> bool:
 
 
 @inlined_part
+def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: FloatArray) -> Entry:
+    """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
+
+    Parameters
+    ----------
+    count : int
+        Events written so far.
+    fastest : (L,) float64  [rad/s]
+        Speed of the fastest touch of each lash so far; updated where flanks are rigid.
+    """
+    system, row = at.system, at.system.guards[regime, guard]
+    if row.event_kind == STAGE:
+        entry = Entry(count, row.successor, row.zero_guard, row.zero_order)
+        if row.successor < 0:
+            entry = rigid.enter_chosen(at, log, regime, guard, 0, count)
+        if log.states.shape[0] > 0 and entry.written == count:
+            record(at, log, count, 0.0, STAGE, entry.regime, -1, 0)
+            return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
+        return entry
+    lash = lash_of(system, regime, guard)
+    speed = speed_of(system, lash, at.x)
+    if system.impulsive != 0:
+        if row.event_kind == TOUCH:
+            return rigid.strike(at, log, regime, guard, speed, count, fastest)
+        return rigid.release(at, log, regime, guard, count)
+    record(at, log, count, speed, row.event_kind, row.successor, lash, row.side)
+    return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
+
+
+@inlined_part
 def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
     """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped.
 
@@ -169,36 +199,3 @@ def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
     # its number is another one there: an open lash has more guards than a closed one
     zero = guard_of(at.system, settled.regime, before.functional, before.sign)
     return Entry(settled.written, settled.regime, zero, entry.zero_order)
-
-
-@inlined_part
-def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: FloatArray) -> Entry:
-    """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
-
-    What a friction's own event chooses is not asked for again.
-
-    Parameters
-    ----------
-    count : int
-        Events written so far.
-    fastest : (L,) float64  [rad/s]
-        Speed of the fastest touch of each lash so far; updated where flanks are rigid.
-    """
-    system, row = at.system, at.system.guards[regime, guard]
-    entry, lash = Entry(count, row.successor, row.zero_guard, row.zero_order), lash_of(system, regime, guard)
-    if row.event_kind == STAGE:
-        if row.successor < 0:
-            entry = rigid.enter_chosen(at, log, regime, guard, 0, count)
-        if log.states.shape[0] > 0 and entry.written == count:
-            record(at, log, count, 0.0, STAGE, entry.regime, -1, 0)
-            entry = Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
-        return entry if row.successor < 0 else recheck_frictions(at, log, entry)
-    speed = speed_of(system, lash, at.x)
-    if system.impulsive == 0:
-        record(at, log, count, speed, row.event_kind, row.successor, lash, row.side)
-        entry = Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
-    elif row.event_kind == TOUCH:
-        entry = rigid.strike(at, log, regime, guard, speed, count, fastest)
-    else:
-        entry = rigid.release(at, log, regime, guard, count)
-    return recheck_frictions(at, log, entry)

@@ -46,9 +46,8 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     """Put a run of a driveline into an empty place of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
     row.driveline, row.status, row.quality, row.stages, row.searches = driveline, _OK, 0, 0, 0
-    row.load, row.piece = start.load, -1
-    piece = piece_at(start.loads[start.load], 0, 0.0)
-    row.rolled = begin_run(system, start, piece, space.inputs[slot], log_of(space, slot))
+    row.load, row.piece, row.ended = start.load, piece_at(start.loads[start.load], 0, 0.0), rows.GOES_ON
+    row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(system.lash_count):
         space.fastest[slot, lash] = 0.0
         own = space.numbers[slot, lash_at(space, lash) :]
@@ -62,16 +61,19 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue.
 
-    The load goes on to its piece at that time. Where that begins, what no longer sticks begins to slip, as an event.
+    The load goes on to its piece at that time, and what no longer sticks there begins to slip, as an event:
+    but where a friction's own event has just chosen what does.
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, load, before = space.numbers[slot, space.behind :], space.loads[row.load], row.piece
     row.piece = piece_at(load, before, time)
+    if row.piece != before:
+        begin_wave(system, load, row.piece, x)
     set_torque(system, load, row.piece, time, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
-    if row.piece != before:
-        begin_wave(system, load, row.piece, x)
+    is_chosen = row.ended == rows.BY_EVENT and system.guards[row.regime, row.guard].successor < 0
+    if system.friction_count > 0 and not (is_chosen and row.piece == before):
         row.count = entry.written
         entry = recheck_frictions(Moment(system, time, x, inputs), log_of(space, slot), entry)
         _take_events(space, slot, row.count, entry.written)

@@ -76,13 +76,15 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     x, inputs, load = start.x, room.inputs, start.loads[start.load]
     inputs[:], room.fastest[:], log.margins[:] = 1.0, 0.0, np.nan
     room.z[:] = 0.0  # a run before may have left what is not a number where nothing is written
-    piece, written = piece_at(load, 0, 0.0), 1
+    entry = Entry(1, start.regime, -1, 0)
+    piece, written = piece_at(load, 0, 0.0), entry.written
     rolled = begin_run(system, start, piece, inputs, log)
     begin_windows(log, 0)
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
-    entry = recheck_frictions(Moment(system, begin, x, inputs), log, Entry(1, start.regime, -1, 0))
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
+        time = begin + index * grid.step + offset
+        entry = recheck_frictions(Moment(system, time, x, inputs), log, entry)
         roll_states(system, rolled, log, written, entry.written)
         for k in range(written, entry.written):
             begin_windows(log, k)
@@ -134,7 +136,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             at = Moment(system, begin, x, inputs)
             if system.friction_count > 0 and not may_switch(at, log, written, stages):
                 return Outcome(_EVENT_BUFFER_FULL, written, 0, begin)
-            entry = recheck_frictions(at, log, Entry(written, entry.regime, -1, 0))
+            entry = Entry(written, entry.regime, -1, 0)
             continue
 
         time = begin + index * grid.step + offset
