@@ -114,11 +114,12 @@ def parameter_at(parameter: str, document: Any) -> tuple[Place, Key]:
 
 def _is_there(place: Place, document: Any) -> bool:
     """Whether a number has a place in a document, as far as that has the lists and tables around it."""
-    for k, step in enumerate((*place, "")):
-        value = value_at(document, place[:k])
+    value = document
+    for step in (*place, ""):
         count = len(items_of(value))
         if value is not None and not (step < count if isinstance(step, int) else count == 0):
             return False
+        value = value_at(value, (step,))
     return True
 
 

@@ -302,13 +302,13 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
     columns = {axis.parameter: axis.grid for axis in sweep.axes}
     axes = [*enumerate(sweep.axes)]
     for group in [axes] if sweep.design == "zip" else ([each] for each in axes):
-        positions = _extremes(config, {axis.parameter: axis.grid for _, axis in group})
+        together = {axis.parameter: columns[axis.parameter] for _, axis in group}
         yield [
             {
-                axis.parameter: Given(float(axis.grid[at]), ("sweep", "axes", k, *axis.place_of(at)), axis.parameter)
-                for k, axis in group
+                key: Given(float(values[at]), ("sweep", "axes", k, *axis.place_of(at)), key)
+                for (key, values), (k, axis) in zip(together.items(), group, strict=True)
             }
-            for at in positions
+            for at in _extremes(config, together)
         ]
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
     drawn: dict[str, list[Case]] = {}
