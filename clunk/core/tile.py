@@ -102,7 +102,7 @@ class Output(NamedTuple):
 class Batch(NamedTuple):
     """Drivelines that differ in `regimes.VARYING` only: for rk4 one, else any number D of them.
 
-    All have the same `modal` and `steady` in their `Flows` (`simulation.batches` sees to that).
+    All have the same `modal`, `steady` and `still` in their `Flows` (`simulation.batches` sees to that).
     """
 
     systems: System  # with an axis of D in front of what varies
@@ -164,8 +164,7 @@ def run_tile(
         room = make_room(system, tables)
         return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, x, stop)
     # of several elements there are more queues: enough runs that each may have as many as there are lanes
-    several = len(system.regime_strides) > 2
-    under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables)) if several else UNDER_WAY
+    under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables))
     slots = min(under_way, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
     space = make_workspace(batch.systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)

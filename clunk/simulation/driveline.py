@@ -14,7 +14,7 @@ from clunk.core import tables
 from clunk.core.batches import alike
 from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked, product
-from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, rolling_apart
+from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, driveline_at, rolling_apart
 from clunk.core.status import Status
 from clunk.core.tables import Friction, StagedShaft
 from clunk.simulation import rigid
@@ -316,15 +316,21 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
             tied = twists[..., np.array([*closed, *stuck]) > 0, :]
             parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
         ties = constrained(twists, [*(system.impulsive * lash for lash in closed), *stuck])
-        chains.append(_chain(driveline.inertia, *of_flow, ties, parts))
+        chains.append(_chain(np.atleast_2d(driveline.inertia), *of_flow, ties, parts))
     held = held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
     rates, spans = wave_rates(study.load, driveline.varied), SPANS
     if rates is not None and alike(np.abs(rates).max(axis=(-2, -1)) * system.end_time[..., 0] > _FAST, 0):
         spans = MORE_SPANS
-    states = system.rates.shape[-1] if rates is not None else 2 * system.inertias  # without a ramp that is no input
+    system = system if driveline.varied else driveline_at(system, None)
+    states = slice(system.rates.shape[-1] if rates is not None else 2 * system.inertias)  # no ramp that is no input
+    system = system._replace(
+        rates=system.rates[..., states, states],
+        inputs=system.inputs[..., states, :],
+        functionals=system.functionals[..., states],
+    )
     if system.drift.size:
         system, chains = _rolling_apart(system, chains)
-    return build_flows(system, chains, held, states, spans)
+    return build_flows(system, chains, held, spans)
 
 
 def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Chain]]:

@@ -117,8 +117,8 @@ def make_workspace(
     """
     system, size, most = driveline_at(systems, 0), flows.basis.shape[3], systems.guards.shape[1]
     drivelines, count = flows.watch.shape[:2]
-    mixed = drivelines > 1
-    shortest = aligned(count, WIDTH)
+    mixed = int(drivelines > 1)
+    shortest = aligned(count)
     shortest[:] = flows.span[0, :, :1]
     # in order: span, short, enter, each by group; search by flow and functional; over; follow
     groups, over = system.leaders.size, waiting_queues(system, flows)
@@ -130,7 +130,7 @@ def make_workspace(
         system=system,
         systems=rows_of(system, systems),
         flows=flows,
-        mixed=int(mixed),
+        mixed=mixed,
         pool=Pool(
             # two guards of a functional may be searched at a time
             waiting=np.zeros((over + 2, 2 * slots + 1), np.int64),
