@@ -25,6 +25,7 @@ from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
 
 _NARROWEST = 2.0**-16  # of the shortest span: two turns within that differ by less than rounding
+_AT_ONCE = 4  # spans of a search are taken: fewer are put back, and few of the searches are through long before others
 
 
 class _Known(NamedTuple):
@@ -44,32 +45,32 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
     flow, f : the flow, and the functional searched in
     """
     modal, shortest = space.flows.modal[0, flow] != 0, shortest_span(space, flow)
-    present, until = (1 << count) - 1, field(space, rows.UNTIL)
-    time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
-    elapsed, inputs_at = field(space, rows.PHASE_TIME), space.behind + rows.OF_A_SEARCH
-    moving.measure(space.pool.work, size_of(space), space.amplitudes)
-    origin = functionals.origin(space, flow, f, inputs_at, elapsed)
-    seen, _ = functionals.evaluate(space, flow, f)
-    curve = curves.as_guard(seen, origin, sign, shift)
-    top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), curve.value <= until
-    known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS), until > -np.inf)
+    present, until, done = (1 << count) - 1, field(space, rows.UNTIL), 0
+    sign, shift, inputs_at = field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT), space.behind + rows.OF_A_SEARCH
+    for _ in range(_AT_ONCE):
+        time_left, elapsed = field(space, rows.TIME_LEFT), field(space, rows.PHASE_TIME)
+        moving.measure(space.pool.work, size_of(space), space.amplitudes)
+        origin = functionals.origin(space, flow, f, inputs_at, elapsed)
+        seen, _ = functionals.evaluate(space, flow, f)
+        curve = curves.as_guard(seen, origin, sign, shift)
+        top, bottom = field(space, rows.TOP), field(space, rows.BOTTOM)
+        done |= (curve.value <= until) & present
+        known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS), until > -np.inf)
 
-    h, k, near = _longest_empty(known, shortest, space.flows.span.shape[2] if modal else 0)
-    near &= present & ~done
-    if near != 0:
-        functionals.expand(space, flow, f, sign, shift, origin)
-        top, bottom, through = _search_series(space, known, shortest, time_left, near)
-        done |= through
-
-    done |= time_left <= h
-    time_left -= h
-    done &= present
-    if done != present:
+        h, k, near = _longest_empty(known, shortest, space.flows.span.shape[2] if modal else 0)
+        near &= present & ~done
+        if near != 0:
+            functionals.expand(space, flow, f, sign, shift, origin)
+            top, bottom, through = _search_series(space, known, shortest, time_left, near)
+            done |= through
+            set_field(space, rows.TOP, top)
+            set_field(space, rows.BOTTOM, bottom)
+        done |= (time_left <= h) & present
+        if done == present:
+            break
         moving.move(space, flow, not modal, k, vectors.splat(1.0))
-    set_field(space, rows.TIME_LEFT, time_left)
-    set_field(space, rows.PHASE_TIME, elapsed + h)
-    set_field(space, rows.TOP, top)
-    set_field(space, rows.BOTTOM, bottom)
+        set_field(space, rows.TIME_LEFT, time_left - h)
+        set_field(space, rows.PHASE_TIME, elapsed + h)
     put_back(space.pool, space.searches, space.behind + rows.BY_SIGN, present & ~done)
     push_all(space.pool, queue, present & ~done)
     lashes = space.system.lash_count
