@@ -102,7 +102,7 @@ class Output(NamedTuple):
 class Batch(NamedTuple):
     """Drivelines that differ in `regimes.VARYING` only: for rk4 one, else any number D of them.
 
-    All have the same `modal`, `steady` and `still` in their `Flows` (`simulation.batches` sees to that).
+    All have the same `modal` and `steady` in their `Flows` (`simulation.batches` sees to that).
     """
 
     systems: System  # with an axis of D in front of what varies

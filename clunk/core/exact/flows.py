@@ -80,7 +80,6 @@ class Flows(NamedTuple):
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     modal: IntArray  # (K,)  whether the coordinates are modes
     steady: IntArray  # (K,)  whether the functionals of the origin do not move under a constant torque
-    still: IntArray  # (K,)  and the torque of this load's pieces is constant
 
 
 class Chain(NamedTuple):
@@ -131,13 +130,12 @@ def build_flows(system: System, chains: list[Chain], held: list[int], spans: int
     ends = np.cumsum([math.prod((*many, *shape)) for shape in shapes])
     pieces = np.split(aligned(ends[-1], 1).ravel(), ends[:-1])
     floats = [piece.reshape(*many, *shape) for piece, shape in zip(pieces, shapes, strict=True)]
-    tables = Flows._make([*floats, *np.zeros((3, *many), np.int64)])
+    tables = Flows._make([*floats, *np.zeros((2, *many), np.int64)])
     # before anything else: it is by these that drivelines differ in more than numbers, if they do
     scaled = [*map(_scale, chains)]
     for k, chain in enumerate(chains):
         matrices = [array[:, k] for array in system[:4]]  # A, B, C and D
         _fill(Flows._make(table[:, k] for table in tables), matrices, chain, scaled[k], held)
-    tables.still[:] = tables.steady * (1 - system.ramps)
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if system.first_rolling >= 0:

@@ -34,7 +34,7 @@ def gather(space: Workspace, table: FloatArray, first: int, count: int, to: Floa
 def gather_tables(space: Workspace, flow: int, items_per_run: int) -> None:
     """Look up the drivelines of the items taken, and gather what is of theirs in a flow.
 
-    That is its shortest span, and its functionals and their origins; of origins that do not move, no derivatives.
+    That is its shortest span, and its functionals and their origins.
     """
     for lane in range(WIDTH):
         driveline = space.runs[space.pool.items[lane] // items_per_run].driveline
@@ -43,8 +43,7 @@ def gather_tables(space: Workspace, flow: int, items_per_run: int) -> None:
     watch, output = space.flows.watch, space.flows.origin_output
     watched, origins = watch[0, 0].size, output[0, 0].size
     gather(space, watch, flow * watched, watched, space.lane_watch)
-    count = max(output[0, 0, 0].size, ROW) if space.flows.still[0, flow] != 0 else origins
-    gather(space, output, flow * origins, count, space.lane_output_origins)
+    gather(space, output, flow * origins, origins, space.lane_output_origins)
 
 
 @inlined_part
@@ -63,8 +62,8 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector)
 
     inputs_at : where the regime's inputs lie in the rows that were taken
     """
-    output, driven, still = space.flows.origin_output, space.system.input_count, space.flows.still[0, flow] != 0
-    first, order = f * driven, output.shape[3] * driven
+    output, driven, rests = space.flows.origin_output, space.system.input_count, space.flows.steady[0, flow] != 0
+    first, order, still = f * driven, output.shape[3] * driven, rests and space.system.ramps == 0
     if space.mixed != 0:
         return weighed_origin(space, OfLanes(space.lane_output_origins), first, 1, order, inputs_at, still, elapsed)
     return weighed_origin(space, output[0, flow], first, 1, order, inputs_at, still, elapsed)
