@@ -43,9 +43,10 @@ _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: pr
 _FEW = 32  # cells, whose time tells whether others are worth threads
 _FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
 _COMPILING = {"rk4": 15, "exact": 40}  # s
-_IMPACTS = 8  # of a run in a lash, that there is room for at first
+_IMPACTS = 16  # of a run in a lash, that there is room for at first
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
-_STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
+_AT_ONCE = 1 << 23  # events that runs may have which are taken at a time: of each second one an impact, 134 MB
+_STATES = 1 << 16  # those whose states there is room for at a time: 8 MB, which the caches nearly hold
 _MEASURED, _MORE_MEASURED = 512, 8  # `kernel.EVENTS` and `kernel.MORE` of runs with states: many at a time
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
@@ -231,7 +232,7 @@ class Grid:
                 if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
                     batch = batch.at(cases.drivelines[:1]) if len(batch.systems.rates) > 1 else batch
                     cases = cases._replace(drivelines=_THE_ONLY)
-                at_once = min(positions.size, max(_STATES // (room + 1), 1)) if measures else positions.size
+                at_once = min(positions.size, max((_STATES if measures else _AT_ONCE) // room, 1))
                 logs = np.zeros((at_once, room + 1) if measures or keeps_events else (0, 0), EVENT)
                 states = np.empty((at_once, room + 1, batch.systems.rates.shape[-1]) if measures else (0, 0, 0))
                 again = []
@@ -284,7 +285,8 @@ class Grid:
         most = min(room, solver.max_events)
         cells, done, impacts, each = np.zeros((runs, lashes), CELL), 0, [], _IMPACTS * lashes
         while done < runs and not stop[0]:
-            found = np.zeros(each * (runs - done) + most, IMPACT)
+            # so much more that a few runs with many impacts are not run again
+            found = np.zeros(each * (runs - done) + 3 * most, IMPACT)
             output = kernel.Output(cells, found, logs, states)
             done, written = kernel.run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
             impacts.append(found[:written].copy())
