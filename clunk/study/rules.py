@@ -302,13 +302,13 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
     columns = {axis.parameter: axis.grid for axis in sweep.axes}
     axes = [*enumerate(sweep.axes)]
     for group in [axes] if sweep.design == "zip" else ([each] for each in axes):
-        together = {axis.parameter: columns[axis.parameter] for _, axis in group}
+        keys = {axis.parameter: (k, axis) for k, axis in group}
         yield [
             {
-                key: Given(float(values[at]), ("sweep", "axes", k, *axis.place_of(at)), key)
-                for (key, values), (k, axis) in zip(together.items(), group, strict=True)
+                key: Given(float(columns[key][at]), ("sweep", "axes", k, *axis.place_of(at)), key)
+                for key, (k, axis) in keys.items()
             }
-            for at in _extremes(config, together)
+            for at in _extremes(config, {key: columns[key] for key in keys})
         ]
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
     drawn: dict[str, list[Case]] = {}

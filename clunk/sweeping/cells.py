@@ -166,13 +166,17 @@ class Grid:
         if not self.structural:
             yield self._nominal, np.zeros(1, np.int64)
             return
-        rows = [row.tobytes() for row in points]
-        known = [self._kept.get(row) for row in rows]
+        rows = np.ascontiguousarray(points).view(f"V{points.shape[1] * points.itemsize}").ravel().tolist()  # as bytes
         members: dict[int, _Part] = {}
-        for k, (batch, number) in ((k, each) for k, each in enumerate(known) if each is not None):
-            members.setdefault(id(batch), (batch, np.full(len(rows), -1)))[1][k] = number
+        unknown = []
+        for k, row in enumerate(rows):
+            if row in self._kept:
+                batch, number = self._kept[row]
+                members.setdefault(id(batch), (batch, np.full(len(rows), -1)))[1][k] = number
+            else:
+                unknown.append(k)
         yield from members.values()
-        missing = np.array([k for k, each in enumerate(known) if each is None], np.int64)
+        missing = np.array(unknown, np.int64)
         for positions, batch in prepare_many(self.study, self.structural, points[missing]):
             numbers = np.full(len(rows), -1)
             numbers[missing[positions]] = np.arange(positions.size)
