@@ -200,10 +200,14 @@ def to_bytes(tiles: Sequence[Tile], origin: bytes) -> bytes:
 
     origin : identifies the study and the versions of the tiles
     """
-    arrays = io.BytesIO()
+    raw, checksum = io.BytesIO(), hashlib.sha256(origin)
+    raw.write(checksum.digest())  # its room
     for name in _ARRAYS:
-        np.save(arrays, np.concatenate([getattr(tile, name) for tile in tiles]))
-    return hashlib.sha256(origin + arrays.getbuffer()).digest() + arrays.getbuffer()
+        np.save(raw, np.concatenate([getattr(tile, name) for tile in tiles]))
+    with raw.getbuffer() as content:  # in its place: a part is tens of MB
+        checksum.update(content[_DIGEST:])
+        content[:_DIGEST] = checksum.digest()
+    return raw.getvalue()
 
 
 def from_bytes(raw: bytes, origin: bytes) -> Tile:
