@@ -89,6 +89,7 @@ class System(NamedTuple):
     locking_speed: FloatArray  # (L,)  rad/s; a negative one is relative to the fastest touch of the run so far
     # frictions
     frictions: FloatArray  # (M, N)  rate of twist = frictions · x
+    friction_states: IntArray  # (R, M)  of each in each regime
     friction_torques: FloatArray  # (M,)  the most that each holds  [N m]
     excess: IntArray  # (K,)  whether a friction sticks in a flow that the others hold without it
     # before the load step
@@ -167,7 +168,7 @@ def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
 @inlined_part
 def state_of_friction(system: System, regime: int, friction: int) -> int:
     """The state of a friction in a regime: one of `tables.STICKS` and those behind it."""
-    return int(regime // stride_of_friction(system, friction) % 3)
+    return int(system.friction_states[regime, friction])
 
 
 @inlined_part

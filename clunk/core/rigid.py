@@ -236,6 +236,8 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
         The lashes that touch at this moment, as bits, whose flanks do not separate.
     """
     system, x, count, first = at.system, at.x, entry.written, -1
+    if system.impulsive == 0:
+        return entry
     held = held_with(system, entry.regime, -1)
     stays = held | touched
     for lash in range(system.lash_count):

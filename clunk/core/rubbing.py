@@ -180,7 +180,8 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
                 base = opened(system, base, lash)
         for number in range(combinations):
             candidate, digits = base, number
-            for k in range(count):
+            for j in range(count):  # first the one that the event is of
+                k = (max(event, 0) + j) % count
                 if resting >> k & 1:
                     candidate += (digits % 3 - state_of_friction(system, regime, k)) * stride_of_friction(system, k)
                     digits //= 3
@@ -253,13 +254,13 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
 def derivative(at: Moment, regime: int, functional: int, order: int) -> tuple[float, float]:
     """A functional's derivative by time in a regime, of order 0, 1 or 2, and the sum of its terms' magnitudes."""
     rows, size = at.system.outputs[at.system.regimes[regime].flow, functional, order], at.x.size
-    value, magnitude = 0.0, 0.0
+    value, by_inputs, magnitude = 0.0, 0.0, 0.0  # sums of their own: the processor takes them at a time
     for k in range(size):
         value, magnitude = value + rows[0, k] * at.x[k], magnitude + rows[1, k] * abs(at.x[k])
     for k in range(at.inputs.size):
         weighed = at.system.weights[regime, k] * at.inputs[k]
-        value, magnitude = value + rows[0, size + k] * weighed, magnitude + rows[1, size + k] * abs(weighed)
-    return value, magnitude
+        by_inputs, magnitude = by_inputs + rows[0, size + k] * weighed, magnitude + rows[1, size + k] * abs(weighed)
+    return value + by_inputs, magnitude
 
 
 @part

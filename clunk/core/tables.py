@@ -332,6 +332,7 @@ def build_tables(
         "weights": weights,
         "leaders": np.array(leaders),
         "regime_strides": strides,
+        "friction_states": np.array(chosen)[:, len(elements) - len(frictions) :].copy(),
     }
 
 
