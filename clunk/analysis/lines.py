@@ -1,43 +1,60 @@
 """Tracing the lines between the labels of a map of two axes, by batches of runs.
 
 The cells in which labels differ are cut into triangles. Where the ends of an edge differ, a crossing is located
-(`clunk.analysis.search`). One operation refines what is not told well enough, a node on an edge: between two crossings
-of the same edge; on the far edge of a triangle whose line is further from its chord than `CHORD`; and beside the
-crossing on the longest edge of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
+(`clunk.analysis.search`), on a few edges at first, by which the lines are continued to the others (`Crossings`): lines
+are smooth, and where one is expected two runs locate it. One operation refines what is not told well enough, a node on
+an edge: between two crossings of the same edge; on the far edge of a triangle whose line is further from its chord than
+`CHORD`; and beside the crossing on the longest edge of a triangle of three labels, until these meet in a triangle as
+small as `JUNCTION`. All that needs crossings to `_NEAR` only. Those that there are in the end are narrowed to the
+tolerance with the runs that are left, so that what lies where comes before its digits.
 
 It ends because it takes `_MOST_ROUNDS` rounds at most, and nodes are added only with the first part of the runs that
-there are (`most_runs`). The network is closed whatever is cut, as it follows from the labels of the nodes alone: an
-edge is split in both of its triangles, two labels in a triangle are parted by one line from edge to edge, and three
-meet in a point. Where a line is not located, its place is kept as unresolved.
+there are (`most_runs`). Each round takes all edges and triangles that wait, so that where labels change on all scales
+nothing else has to. The network is closed whatever is cut, as it follows from the labels of the nodes alone: an edge is
+split in both of its triangles, two labels in a triangle are parted by one line from edge to edge, and three meet in a
+point. Where a line is not located, its place is kept as unresolved.
 """
 
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from clunk.analysis.search import TOUCHES_OF_A_RUN, Points, narrow, with_hidden
+from clunk.analysis.search import POINT, TOLERANCE, Points, narrow, with_hidden
 from clunk.study.arrays import Bools, Codes, Floats, Nodes
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
-JUNCTION = 1e-7  # of the map, a triangle in which three labels meet
+JUNCTION = 5e-8  # of the map, a triangle in which three labels meet
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
 _MOST_ROUNDS = 128
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 8  # on an edge, that are told apart
 _BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
-_RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 6, 20_000
-# Of these, with which edges are cut that have several crossings, with which others are, and crossings located on edges.
-_SEVERAL, _CUT, _ON_EDGES = 0.5, 0.75, 0.9
+_RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 12, 100_000
+_TOUCHES = 10  # that take as long as a run without any
+_CUT, _ON_EDGES = 0.8, 0.95  # of these, with which edges are cut, and crossings located on edges
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
+_NEAR, _OF_EDGE = 1e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
+_EVERY, _AT_ONCE = (27, 9, 3, 1), 256  # parts of the edges by which lines are continued, and edges that are no more
+_POINTS, _NEIGHBOURS = 4, 8  # crossings that continue a line, of so many that are the nearest
+_REACH = 15.0  # lengths of an edge, within which these are
+_OFF = 0.15  # of the change by the last of these, that a crossing may be off
+_OTHERS = 10.0  # maps: distance between crossings of other labels
 _SHIFT = 32  # bits of a node's number in an edge's key
 
 
 def most_runs(cells: int, cost: int = 1) -> int:
     """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches.
 
+    cells : of the map, and one more for each `_TOUCHES` touches of their runs
     cost : see `PointRuns`
     """
     return _RUNS_OF_ANY_MAP // cost + _RUNS_PER_CELL * cells
+
+
+def _cost_of(runs: Points) -> int:
+    """Number of runs without touches that take as long as some runs."""
+    return len(runs) + int(np.maximum(runs["touches"], 0).sum()) // _TOUCHES
 
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:
@@ -60,6 +77,15 @@ def cross(one: Floats, other: Floats) -> Floats:
 def _length(vectors: Floats) -> Floats:
     lengths: Floats = np.hypot(vectors[..., 0], vectors[..., 1])
     return lengths
+
+
+def _parts(count: int) -> list[Codes]:
+    """Positions 0 to count - 1 in parts, of many first a few, by which the lines are continued to the others."""
+    rest, parts = np.arange(count), []
+    for every in _EVERY if count > _AT_ONCE else (1,):
+        parts.append(rest[::every])
+        rest = np.delete(rest, np.s_[::every])
+    return [part for part in parts if part.size]
 
 
 class Triangles:
@@ -126,22 +152,78 @@ class Triangles:
         return np.concatenate([near[cut], np.arange(begin, len(self.corners))])
 
 
+class Crossings:
+    """Known crossings of lines with edges, by which the lines are continued to other edges.
+
+    brackets, outcomes : ends of each crossing's bracket (n, 2, 2), and codes there (n, 2)
+    """
+
+    def __init__(self, brackets: Floats, outcomes: Codes) -> None:
+        self._places = np.repeat(brackets.mean(axis=1), 2, axis=0)
+        self._ways = np.repeat(brackets[:, 1] - brackets[:, 0], 2, axis=0) * np.tile(
+            [[1.0], [-1.0]], (len(brackets), 1)
+        )
+        sides = np.stack([outcomes, outcomes[:, ::-1]], axis=1).reshape(-1, 2)
+        self._trees = [KDTree(np.column_stack([self._places, _OTHERS * sides[:, :count]])) for count in (2, 1)]
+
+    def continued(self, begin: Floats, way: Floats, sides: Codes, but: Floats) -> Floats:
+        """Shares of the way along edges at which a line is expected, and by how much that may be off, (n, 2).
+
+        It is a line between two outcomes (n, 2), else one beside the first, continued by the polynomial through
+        `_POINTS` crossings nearby but for those at some places (n, k, 2). NaN where there are too few.
+        """
+        shares = np.full((len(begin), 2), np.nan)
+        if len(self._places) >= _NEIGHBOURS:
+            for tree in self._trees:
+                rest = np.flatnonzero(np.isnan(shares[:, 0]))
+                ends = np.column_stack([begin[rest] + 0.5 * way[rest], _OTHERS * sides[rest, : tree.m - 2]])
+                distance, at = tree.query(ends, _NEIGHBOURS)
+                shares[rest] = self._through(distance, at, begin[rest], way[rest], but[rest])
+        return shares
+
+    def _through(self, distance: Floats, at: Nodes, begin: Floats, way: Floats, but: Floats) -> Floats:
+        shares = np.full((len(begin), 2), np.nan)
+        places, length = self._places[at], _length(way)[:, None]
+        is_near = (distance < _REACH * length) & ((self._ways[at] * way[:, None]).sum(axis=2) > 0.0)
+        is_near &= (_length(places[:, :, None] - but[:, None]) > _NEAR).all(axis=2)
+        rows = np.flatnonzero(is_near.sum(axis=1) >= _POINTS)
+        places, way, is_near = (
+            places[rows] - begin[rows, None],
+            way[rows, None] / length[rows, None] ** 2,
+            is_near[rows],
+        )
+        apart, points = np.where(is_near, 1.0, -np.inf), np.empty((len(rows), _POINTS, 2))
+        for k in range(_POINTS):  # each as far from those before as can be
+            points[:, k] = places[np.arange(len(rows)), np.argmax(apart, axis=1)]
+            apart = np.minimum(apart, _length(places - points[:, k, None]))
+        off, along = cross(way, points), (way * points).sum(axis=2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for k in range(1, _POINTS):  # Neville's scheme
+                less, right, left = along, off[:, k:], off[:, :-k]
+                along = (right * less[:, :-1] - left * less[:, 1:]) / (right - left)
+            expected = np.column_stack([along[:, 0], _OFF * np.abs(along[:, 0] - less[:, 0])])
+        shares[rows] = np.where(np.isfinite(expected), expected, np.nan)
+        return shares
+
+
 class Lines:
     """Lines of a map as they are traced; positions are on each axis from 0 to 1.
 
     triangles : Triangles
     run : runs points (n, 2); returns (n,) POINT
     cost : see `PointRuns`
-    keys, brackets : (n,) keys of edges with a crossing, ascending, and of each the two ends of its bracket (n, 2, 2),
-        from the first node on
+    keys, brackets, runs : (n,) keys of edges with a crossing, ascending, and of each the two ends of its bracket
+        (n, 2, 2), from the first node on, and POINT there (n, 2)
     met, met_labels : (m, 2) triple points, and the codes of the labels that meet there (m, 3)
     unresolved : (n, 2) places where lines are not located
     """
 
     def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int = 1) -> None:
         self.triangles, self._run_points = triangles, run
-        self._most_runs, self._spent, self._rounds = most_runs(triangles.nodes.size, cost), 0, 0
+        self._most_runs, self._spent, self._rounds = most_runs(_cost_of(triangles.runs), cost), 0, 0
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
+        self._cuts: list[tuple[Codes, Floats, Points]] = []
+        self.runs = np.zeros((0, 2), POINT)
         self.met, self.met_labels = np.zeros((0, 2)), np.zeros((0, 3), np.int64)
         self.unresolved = np.zeros((0, 2))
 
@@ -149,8 +231,16 @@ class Lines:
         """Locate the crossings on edges, and add nodes, until all lines are told well enough or there are no runs."""
         for axis in (0, 1):
             self._find_hidden(axis)
-        while self._locate() or self._refine():
-            self._rounds += 1
+        while self._cuts or not self._rounds:
+            self.triangles.is_new[:] = not self._rounds
+            for cut in self._cuts:
+                self.triangles.add(*cut)
+            self._cuts, self._rounds = [], self._rounds + 1
+            self._locate()
+            self._refine()
+        self._sharpen()
+        places = self.triangles.positions[self._wide()].mean(axis=1)
+        self.unresolved = np.concatenate([self.unresolved, places])
 
     def segments(self) -> tuple[Codes, Codes]:
         """Pieces of lines in triangles: the nodes at their ends (n, 2), and codes on their left and right.
@@ -167,7 +257,7 @@ class Lines:
 
     def _run(self, places: Floats) -> Points:
         runs = self._run_points(places)
-        self._spent += len(places) + int(np.maximum(runs["touches"], 0).sum()) // TOUCHES_OF_A_RUN
+        self._spent += _cost_of(runs)
         return runs
 
     def _may_run(self, share: float = 1.0) -> bool:
@@ -207,84 +297,117 @@ class Lines:
         keys = keys_of(nodes_in_order[at], nodes_in_order[at + 1])
         self.triangles.add(keys, place(runs["cell"], runs["value"]), runs)
 
-    def _locate(self) -> bool:
-        """Locate crossings on new edges; returns whether there are new nodes, on edges with several."""
-        mixed = np.concatenate(self.triangles.mixed(only_new=True))
-        keys = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
+    def _mixed_edges(self, *, only_new: bool = False) -> Codes:
+        """Keys of the edges whose ends have different labels, ascending."""
+        mixed = np.concatenate(self.triangles.mixed(only_new=only_new))
+        keys: Codes = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
         first, second = ends_of(keys)
-        differ = self.triangles.outcome[first] != self.triangles.outcome[second]
-        keys = keys[differ & ~np.isin(keys, self.keys)]
-        if not keys.size:
-            return False
-        lines, ends, runs = self._crossings(keys)
-        edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
-        single, several = counts == 1, counts > 1
-        self._keep(keys[edges[single]], ends[begins[single]])
-        left, middle = keys[edges[several]], (begins + counts // 2 - 1)[several]
-        begin, rest = ends_of(left)
-        nodes = len(self.triangles.runs) + np.arange(left.size)
-        self.triangles.add(left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle])
-        is_first, is_last = counts[several] < 4, counts[several] == 2
-        self._keep(keys_of(begin, nodes)[is_first], ends[middle[is_first]])
-        self._keep(keys_of(rest, nodes)[is_last], ends[middle[is_last] + 1, ::-1])
-        return bool(several.any())
+        edges: Codes = keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
+        return edges
 
-    def _crossings(self, keys: Codes) -> tuple[Codes, Floats, Points]:
-        """Crossings on edges, of which those nearer to each other than the resolution are one, or all of an edge.
-
-        Returns the numbers of the edges (n,), brackets (n, 2, 2), and runs behind each (n,).
-        """
+    def _locate(self) -> None:
+        """Locate crossings on new edges, nearly, and cut those with several."""
+        keys = self._mixed_edges(only_new=True)
+        keys = keys[~np.isin(keys, self.keys)]
         nodes = np.stack(ends_of(keys), axis=1)
-        begin, way = self.triangles.positions[nodes[:, 0]], np.diff(self.triangles.positions[nodes], axis=1)[:, 0]
+        new = len(self.triangles.runs)
+        for part in _parts(keys.size):
+            brackets, runs = self.triangles.positions[nodes[part]], self.triangles.runs[nodes[part]]
+            lines, ends, runs = self._crossings(keys[part], brackets, runs, _NEAR)
+            edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
+            single, several = counts == 1, counts > 1
+            self._keep(keys[part][edges[single]], ends[begins[single]], runs[begins[single]])
+            left, middle = keys[part][edges[several]], (begins + counts // 2 - 1)[several]
+            begin, rest = ends_of(left)
+            added = new + np.arange(left.size)
+            new += left.size
+            self._cuts.append((left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle, 1]))
+            is_first, is_last = counts[several] < 4, counts[several] == 2
+            self._keep(keys_of(begin, added)[is_first], ends[middle[is_first]], runs[middle[is_first]])
+            self._keep(keys_of(rest, added)[is_last], ends[middle[is_last] + 1, ::-1], runs[middle[is_last] + 1, ::-1])
+
+    def _sharpen(self) -> None:
+        """Narrow the brackets of the crossings that there are in the end."""
+        width = _length(self.brackets[:, 1] - self.brackets[:, 0])
+        at = np.flatnonzero(np.isin(self.keys, self._mixed_edges()) & (width > TOLERANCE) & (width < 2.0 * _NEAR))
+        for part in _parts(at.size):
+            rows = at[part]
+            _, self.brackets[rows], self.runs[rows] = self._crossings(
+                self.keys[rows], self.brackets[rows], self.runs[rows], TOLERANCE
+            )
+
+    def _crossings(self, keys: Codes, brackets: Floats, runs: Points, tolerance: float) -> tuple[Codes, Floats, Points]:
+        """Crossings on edges within brackets, of which those nearer to each other than the tolerance are one.
+
+        Returns the numbers of the edges (n,), brackets (n, 2, 2), and runs at their ends (n, 2).
+        """
+        first, second = ends_of(keys)
+        begin = self.triangles.positions[first]
+        way = self.triangles.positions[second] - begin
         length = _length(way)
-        points = self.triangles.runs[nodes]
-        points["cell"], points["value"] = np.arange(keys.size)[:, None], length[:, None] * [0, 1]
+        runs["cell"], runs["value"] = np.arange(keys.size)[:, None], _length(brackets - begin[:, None])
+        known = _length(self.brackets[:, 1] - self.brackets[:, 0]) <= 2.0 * tolerance
+        lines = Crossings(self.brackets[known], self.runs["outcome"][known])
 
         def place(edges: Codes, distances: Floats) -> Floats:
             return begin[edges] + (distances / length[edges])[..., None] * way[edges]
 
+        def guess(ends: Points) -> Floats:
+            edges = ends["cell"][:, 0]
+            shares = lines.continued(begin[edges], way[edges], ends["outcome"], begin[edges, None])
+            return shares * length[edges, None]
+
         low, high = narrow(
-            points.ravel(),
+            runs.ravel(),
             lambda edges, distances: self._run(place(edges, distances)),
             _MOST_CROSSINGS,
-            may_run=lambda: self._may_run(_ON_EDGES),
+            may_run=lambda: self._may_run(_ON_EDGES if tolerance > TOLERANCE else 1.0),
+            tolerances=np.clip(_OF_EDGE * length, TOLERANCE, tolerance),
+            guess=guess,
         )
         edges = low["cell"]
-        is_apart = (low["value"][1:] - high["value"][:-1] >= RESOLUTION) & self._may_cut(_SEVERAL)
+        is_apart = (low["value"][1:] - high["value"][:-1] >= RESOLUTION) & self._may_cut() & (tolerance > TOLERANCE)
         is_parted = (edges[1:] != edges[:-1]) | is_apart
         low, high = low[np.append(True, is_parted)], high[np.append(is_parted, True)]
         differ = low["outcome"] != high["outcome"]  # else a label without width
-        low, high = low[differ], high[differ]
-        ends = np.stack([low["value"], high["value"]], axis=1)
-        return low["cell"], place(low["cell"][:, None], ends), high
+        ends = np.stack([low, high], axis=1)[differ]
+        return ends["cell"][:, 0], place(ends["cell"], ends["value"]), ends
 
-    def _keep(self, keys: Codes, brackets: Floats) -> None:
-        """Keep crossings: keys of the edges (n,), and brackets (n, 2, 2) from the first node on."""
+    def _keep(self, keys: Codes, brackets: Floats, runs: Points) -> None:
+        """Keep crossings: keys of the edges (n,), and brackets (n, 2, 2) and runs (n, 2) from the first node on."""
         every = np.concatenate([self.keys, keys])
         order = np.argsort(every)
         self.keys, self.brackets = every[order], np.concatenate([self.brackets, brackets])[order]
+        self.runs = np.concatenate([self.runs, runs])[order]
 
-    def _refine(self) -> bool:
-        """Add nodes on edges of new triangles whose lines are not told well enough; returns whether there are any."""
-        two, three = self.triangles.mixed(only_new=True)
-        self.triangles.is_new[:] = False
+    def _refine(self) -> None:
+        """Cut edges of new triangles whose lines are located, and not told well enough."""
+        two, three = (corners[self._is_located(corners)] for corners in self.triangles.mixed(only_new=True))
         positions = self.triangles.positions
         two = two[self._is_off_chord(two)]
         sides = np.stack([three, np.roll(three, -1, axis=1)], axis=2)
         lengths = _length(np.diff(positions[sides], axis=2)[:, :, 0])
         is_large = lengths.max(axis=1, initial=0.0) > JUNCTION
         three = three[is_large]
-        if not len(two) + len(three) or not self._may_cut():
-            self.unresolved = positions[np.concatenate([two, three, self._wide()])].mean(axis=1)
-            return False
+        if not len(two) + len(three):
+            return
+        if not self._may_cut():
+            self.unresolved = np.concatenate([self.unresolved, positions[np.concatenate([two, three])].mean(axis=1)])
+            return
         longest = sides[is_large, np.argmax(lengths, axis=1)[is_large]]
         crossing = self.position(keys_of(*longest.T))
         away = positions[longest] - crossing[:, None]
         to_far_end = away[np.arange(len(longest)), np.argmax(_length(away), axis=1)]
         places = np.concatenate([positions[two[:, 1:]].mean(axis=1), crossing + _BESIDE * to_far_end])
         keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], longest]).T), return_index=True)
-        self.triangles.add(keys, places[at], self._run(places[at]))
-        return True
+        self._cuts.append((keys, places[at], self._run(places[at])))
+
+    def _is_located(self, corners: Nodes) -> Bools:
+        """Whether all crossings on the edges of triangles are located, one on each."""
+        edges = keys_of(corners, np.roll(corners, -1, axis=1))
+        labels = self.triangles.outcome[corners]
+        is_located: Bools = ((labels == np.roll(labels, -1, axis=1)) | np.isin(edges, self.keys)).all(axis=1)
+        return is_located
 
     def _is_off_chord(self, corners: Nodes) -> Bools:
         """Whether the line in triangles of two labels may be further from its chord than `CHORD`.
@@ -304,6 +427,11 @@ class Lines:
         way = positions[asked, 1:].mean(axis=1) - tip
         slant = cross(chord, way)
         at, apart = cross(chord, ends[asked, 0] - tip) / slant, CHORD * _length(chord) / np.abs(slant)
+        lines = Crossings(self.brackets, self.runs["outcome"])
+        expected, error = lines.continued(tip, way, self.triangles.outcome[corners[asked, :2]], ends[asked]).T
+        is_near = np.abs(expected - at) + error < 0.5 * apart
+        is_off[asked[is_near]] = False
+        asked, tip, way, at, apart = (each[~is_near] for each in (asked, tip, way, at, apart))
         shares = np.clip(np.stack([at - apart, at + apart], axis=1), 0.0, 1.0)
         places = tip[:, None] + shares[..., None] * way[:, None]
         labels = self._run(places.reshape(-1, 2))["outcome"].reshape(-1, 2)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from clunk.results.boundaries import NO_LABEL
 from clunk.study.arrays import Codes, Floats, LabelCodes
@@ -64,19 +65,17 @@ def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
 
     The labels are rows of ascending codes, with `NO_LABEL` behind them.
     """
-    places: list[Floats] = []
-    met: list[set[int]] = []
-    for point, codes in zip(points, labels.tolist(), strict=True):
-        same = [k for k, place in enumerate(places) if np.abs(place - point).max() < SAME]
-        if same:
-            met[same[0]] |= set(codes)
-        else:
-            places.append(point)
-            met.append(set(codes))
+    near = KDTree(points).query_ball_point(points, SAME, p=np.inf) if len(points) else []
+    first: dict[int, int] = {}  # of those at the same place, of each
+    for k, same in enumerate(near):
+        if k not in first:
+            first |= {each: k for each in same if each not in first}
+    places = np.unique(np.array([*first.values()], np.int64))
+    met = [set(np.unique(labels[[k for k in near[place] if first[k] == place]]).tolist()) for place in places]
     codes = np.full((len(met), max(map(len, met), default=3)), NO_LABEL, np.int16)
     for row, each in zip(codes, met, strict=True):
         row[: len(each)] = sorted(each)
-    at = np.array(places).reshape(-1, 2)
+    at = points[places]
     order = np.lexsort(at.T[::-1])
     return at[order], codes[order]
 

@@ -8,11 +8,11 @@ What decides is the outcomes of a bracket's two ends. Where to look is said by a
 much a severity exceeds its bound), if it changes sign with them: on either side of the place where the secant through
 the ends is zero. As the number may belong to another change, or jump at this one, a bracket that has not been halved so
 is halved next.
-Where further outcomes lie within a bracket, it becomes several.
+Where further outcomes lie within a bracket, it becomes several. Who knows more about where to look may say so first.
 
-It ends: of two steps in a row one halves a bracket at least, and where a bracket becomes more than a number that is
-stated beforehand, those are given up as they are. Between two points `_LOOKED` runs, and those of one halving more at
-most, look for what is hidden.
+It ends: of two steps in a row one halves a bracket at least, but for `_GUESSES` of two outcomes, and where a bracket
+becomes more than a number that is stated beforehand, those are given up as they are. Between two points `_LOOKED` runs,
+and those of one halving more at most, look for what is hidden.
 """
 
 from collections import Counter
@@ -46,12 +46,13 @@ TOLERANCE = 1e-9  # of the span, the widest that a bracket ends
 # likewise where runs begin to fail: that says how far they were followed, no physics, and runs of 10⁵ events take half
 # a second each
 OFF_FAILURES = 1e-3
-TOUCHES_OF_A_RUN = 50  # for so many more touches a run counts as one more run
+_TOUCHES_OF_A_RUN = 50  # for so many more touches a run counts as one more run
 _TOUCHES = 2  # by which neighbours differ where something may be hidden between them
 _STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
 _LOOKED = 64  # runs between two points that look for what is hidden, but for those of the last halving
 _BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
 _BENT = 0.2  # times the bracket's width squared, by which a secant may be off
+_GUESSES, _FURTHER = 2, 10.0  # times that a guess is tried, the second time so much further off
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
 
 
@@ -100,7 +101,7 @@ def with_hidden(
         cells, middles = points["cell"][between], 0.5 * (points["value"][between] + points["value"][between + 1])
         runs = run(cells, middles)
         runs["cell"], runs["value"] = cells, middles
-        np.add.at(looked, before[between], 1 + np.maximum(runs["touches"], 0) // TOUCHES_OF_A_RUN)
+        np.add.at(looked, before[between], 1 + np.maximum(runs["touches"], 0) // _TOUCHES_OF_A_RUN)
         points, before = np.insert(points, between + 1, runs), np.insert(before, between + 1, before[between])
     return points, before
 
@@ -133,6 +134,8 @@ def narrow(
     most: int,
     span: float = 1.0,
     may_run: Callable[[], bool] = lambda: True,
+    tolerances: Floats | None = None,
+    guess: Callable[[Points], Floats] | None = None,
 ) -> tuple[Points, Points]:
     """Narrow the brackets between points of different outcome to `TOLERANCE` of the span, by cell and value.
 
@@ -141,9 +144,12 @@ def narrow(
     points : (n,) in the order of cells and, in each, of values
     most : that one of the brackets may become; those of one that becomes more are returned as wide as they are
     may_run : asked before each batch; once it says no, all brackets are returned as wide as they are
+    tolerances : of each cell, in place of `TOLERANCE` of the span
+    guess : of brackets, (n, 2) POINT, where outcomes are expected to change and how far off that may be, (n, 2), NaN
+        where that is unknown; asked `_GUESSES` times for the same two outcomes
     """
-    tolerance = TOLERANCE * span
     ends = points.take(_changes(points, points["cell"])[:, None] + np.arange(2))
+    guesses = np.full(len(ends), 0 if guess is None else _GUESSES)  # that are left
     is_slow, narrowed = np.zeros(len(ends), bool), [ends[:0]]
     origin, begun = np.arange(len(ends)), len(ends)  # of each bracket the one that it is a part of
     finished = np.zeros(begun, np.int64)  # parts of each
@@ -151,6 +157,7 @@ def narrow(
         low, high = ends["value"].T
         width, middle = high - low, 0.5 * (low + high)
         has_failed = (ends["outcome"] == FAILED_CODE).any(axis=1)
+        tolerance = TOLERANCE * span if tolerances is None else tolerances[ends["cell"][:, 0]]
         wide = width > np.where(has_failed, OFF_FAILURES * span, tolerance)
         wide &= (low < middle) & (middle < high) & may_run()
         rest = np.flatnonzero(wide)  # `take` does with records in a tenth of the time what indexing does
@@ -158,14 +165,23 @@ def narrow(
         crowded = finished + np.bincount(origin[rest], minlength=begun) > most
         rest = rest[~crowded[origin[rest]]]
         narrowed.append(np.delete(ends, rest, axis=0))
-        ends, is_slow, origin = ends.take(rest, axis=0), is_slow[rest], origin[rest]
+        ends, is_slow, guesses, origin = ends.take(rest, axis=0), is_slow[rest], guesses[rest], origin[rest]
         low, high, width, middle = (each[rest] for each in (low, high, width, middle))
+        tolerance = np.broadcast_to(tolerance, wide.shape)[rest]
         if not len(ends):
             break
         place = _expected(ends)
         off = np.maximum(_BENT / span * width**2, _BESIDE * tolerance)
-        values = place[:, None] + off[:, None] * [-1.0, 1.0]
         halved = is_slow | np.isnan(place)
+        if guess is not None and guesses.any():
+            asked = np.flatnonzero(guesses)
+            guessed, apart = guess(ends[asked]).T
+            apart = np.maximum(apart, _BESIDE * tolerance[asked]) * _FURTHER ** (_GUESSES - guesses[asked])
+            is_within = (low[asked] < guessed + apart) & (guessed - apart < high[asked]) & (apart < 0.25 * width[asked])
+            asked, guessed, apart = asked[is_within], guessed[is_within], apart[is_within]
+            place[asked], off[asked] = guessed, apart
+            halved[asked] = False
+        values = place[:, None] + off[:, None] * [-1.0, 1.0]
         values[halved] = middle[halved, None] * [1.0, np.nan]
         rows, columns = np.nonzero((low[:, None] < values) & (values < high[:, None]))
         cells, new = ends["cell"][rows, 0], values[rows, columns]
@@ -175,7 +191,10 @@ def narrow(
         order = np.lexsort((points["value"], bracket))
         points, bracket = points.take(order), bracket[order]
         at = _changes(points, bracket)
-        ends, bracket = points.take(at[:, None] + np.arange(2)), bracket[at]
+        former, bracket = ends, bracket[at]
+        ends = points.take(at[:, None] + np.arange(2))
+        is_other = (ends["outcome"] != former["outcome"][bracket]).any(axis=1) & (guess is not None)
+        guesses = np.where(is_other, _GUESSES, np.maximum(guesses[bracket] - 1, 0))
         is_slow = ends["value"][:, 1] - ends["value"][:, 0] > _STALLED * width[bracket]
         origin = origin[bracket]
     ends = np.concatenate(narrowed)
@@ -233,7 +252,7 @@ class PointRuns:
         """How many runs of one common driveline, by exact or in `_STEPS` steps of rk4, take as long as one of these."""
         study, structural = self.runner.study, self.runner.grid.structural
         steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
-        return max(1, round(steps / _STEPS), count_of_regimes(study) // 2 if structural else 1)
+        return max(1, round(steps / _STEPS), count_of_regimes(study) // (2 if structural else 8))
 
     def __call__(self, values: Floats, more: int = 0) -> Points:
         """Run points.
