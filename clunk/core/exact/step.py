@@ -238,6 +238,8 @@ def _stays(space: Workspace, regime: int) -> int:
     """Where guards will stay positive for ever, without a miss that counts, and accelerations within their windows."""
     stays, watched = -1, space.system.regimes[regime].watched
     for n in range(_seen(space, regime)):
+        if stays == 0:
+            break
         origin = _origin(space, space.system.regimes[regime].flow, _functional(space, regime, n))
         sway = vectors.load(space.seen, n * OF_SEEN + _SWAY)
         if n < watched:
