@@ -7,6 +7,7 @@ import numpy as np
 
 from clunk.core.batches import UnlikeError
 from clunk.core.exact.flows import Flows
+from clunk.core.regimes import driveline_at
 from clunk.core.rk4.propagator import build_steps
 from clunk.core.tile import Batch, batch_of
 from clunk.simulation.driveline import Driveline, prepare
@@ -31,11 +32,7 @@ def prepare_one(study: Study) -> Batch:
     The latest ones are kept: they are a third of the time of a small sweep, and of a call with few points. By a study
     of `of_system` they are kept for other loads and backlashes, too.
     """
-    line = Driveline.from_study(study)
-    batch = batch_of(*prepare(study, line))
-    if study.measured:
-        batch = batch._replace(channels=channels_of(study, line, batch.systems))
-    return batch if study.solver.method == "exact" else _by_rk4(batch, study.solver.step)
+    return next(_batches(study, Driveline.from_study(study)))[1]
 
 
 def of_system(study: Study) -> Study:
@@ -105,8 +102,9 @@ def _prepare_alike(
 
 
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:
-    """The batches of drivelines with other numbers than a study's: of the exact method one."""
+    """The batches of a driveline, or of those with other numbers than a study's: of the exact method one."""
     systems, flows = prepare(study, line)
+    systems = systems if line.varied else driveline_at(systems, None)
     batch = Batch(systems, flows, channels_of(study, line, systems) if study.measured else None)
     count = len(flows.modal)
     if study.solver.method == "exact":
