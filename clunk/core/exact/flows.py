@@ -495,7 +495,8 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
                 sound = abs(step) <= _CONVERGED * abs(rate)
                 if sound:
                     break
-            sound &= (rate.imag > _ROUNDING * abs(rate)) == swings
+            # 0 is a displacement's own, whatever damps its velocity
+            sound &= (rate.imag > _ROUNDING * abs(rate)) == swings and rate != 0.0
             for other in rates[driveline, :n]:
                 sound &= abs(rate - other) > _ROUNDING * abs(rate)
             rates[driveline, n] = rate if sound else np.nan
