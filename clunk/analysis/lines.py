@@ -68,6 +68,11 @@ def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
     return keys >> _SHIFT, keys & ((1 << _SHIFT) - 1)
 
 
+def _edges(corners: Nodes) -> Codes:
+    """Numbers of the edges from each corner of triangles to the next, (n, 3)."""
+    return keys_of(corners, np.roll(corners, -1, axis=1))
+
+
 def cross(one: Floats, other: Floats) -> Floats:
     """Cross products of vectors, (..., 2) each."""
     product: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
@@ -139,7 +144,7 @@ class Triangles:
         keys : of the edges, ascending
         """
         corners = self.corners[near]
-        edges = keys_of(corners, np.roll(corners, -1, axis=1))
+        edges = _edges(corners)
         at = np.minimum(np.searchsorted(keys, edges), keys.size - 1)
         is_cut = keys[at] == edges
         cut = np.flatnonzero(is_cut.any(axis=1))
@@ -160,9 +165,7 @@ class Crossings:
 
     def __init__(self, brackets: Floats, outcomes: Codes) -> None:
         self._places = np.repeat(brackets.mean(axis=1), 2, axis=0)
-        self._ways = np.repeat(brackets[:, 1] - brackets[:, 0], 2, axis=0) * np.tile(
-            [[1.0], [-1.0]], (len(brackets), 1)
-        )
+        self._ways = np.diff(brackets[:, [0, 1, 0]], axis=1).reshape(-1, 2)
         sides = np.stack([outcomes, outcomes[:, ::-1]], axis=1).reshape(-1, 2)
         self._trees = [KDTree(np.column_stack([self._places, _OTHERS * sides[:, :count]])) for count in (2, 1)]
 
@@ -182,17 +185,14 @@ class Crossings:
         return shares
 
     def _through(self, distance: Floats, at: Nodes, begin: Floats, way: Floats, but: Floats) -> Floats:
+        """What `continued` tells, by the crossings (n, `_NEIGHBOURS`) at these distances."""
         shares = np.full((len(begin), 2), np.nan)
         places, length = self._places[at], _length(way)[:, None]
         is_near = (distance < _REACH * length) & ((self._ways[at] * way[:, None]).sum(axis=2) > 0.0)
         is_near &= (_length(places[:, :, None] - but[:, None]) > _NEAR).all(axis=2)
         rows = np.flatnonzero(is_near.sum(axis=1) >= _POINTS)
-        places, way, is_near = (
-            places[rows] - begin[rows, None],
-            way[rows, None] / length[rows, None] ** 2,
-            is_near[rows],
-        )
-        apart, points = np.where(is_near, 1.0, -np.inf), np.empty((len(rows), _POINTS, 2))
+        places, way = places[rows] - begin[rows, None], way[rows, None] / length[rows, None] ** 2
+        apart, points = np.where(is_near[rows], 1.0, -np.inf), np.empty((len(rows), _POINTS, 2))
         for k in range(_POINTS):  # each as far from those before as can be
             points[:, k] = places[np.arange(len(rows)), np.argmax(apart, axis=1)]
             apart = np.minimum(apart, _length(places - points[:, k, None]))
@@ -248,7 +248,7 @@ class Lines:
         A node is the key of an edge, or -1 - the number of a triple point.
         """
         two, three = self.triangles.mixed()
-        self.met = self.position(keys_of(three, np.roll(three, -1, axis=1)).ravel()).reshape(-1, 3, 2).mean(axis=1)
+        self.met = self.position(_edges(three).ravel()).reshape(-1, 3, 2).mean(axis=1)
         self.met_labels = self.triangles.outcome[three]
         from_junction = np.repeat(-1 - np.arange(len(three)), 3)
         sides = np.stack([np.roll(three, -1, axis=1), three], axis=2).reshape(-1, 2)
@@ -270,6 +270,9 @@ class Lines:
         """Ends of the brackets of the crossings on edges, (2, n, 2), from each edge's first node on."""
         ends: Floats = self.brackets[np.searchsorted(self.keys, keys)]
         return ends.swapaxes(0, 1)
+
+    def _widths(self) -> Floats:
+        return _length(self.brackets[:, 1] - self.brackets[:, 0])
 
     def position(self, nodes: Codes) -> Floats:
         """Positions of nodes of segments, (n, 2)."""
@@ -300,7 +303,7 @@ class Lines:
     def _mixed_edges(self, *, only_new: bool = False) -> Codes:
         """Keys of the edges whose ends have different labels, ascending."""
         mixed = np.concatenate(self.triangles.mixed(only_new=only_new))
-        keys: Codes = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
+        keys: Codes = np.unique(_edges(mixed))
         first, second = ends_of(keys)
         edges: Codes = keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
         return edges
@@ -328,7 +331,7 @@ class Lines:
 
     def _sharpen(self) -> None:
         """Narrow the brackets of the crossings that there are in the end."""
-        width = _length(self.brackets[:, 1] - self.brackets[:, 0])
+        width = self._widths()
         at = np.flatnonzero(np.isin(self.keys, self._mixed_edges()) & (width > TOLERANCE) & (width < 2.0 * _NEAR))
         for part in _parts(at.size):
             rows = at[part]
@@ -346,7 +349,7 @@ class Lines:
         way = self.triangles.positions[second] - begin
         length = _length(way)
         runs["cell"], runs["value"] = np.arange(keys.size)[:, None], _length(brackets - begin[:, None])
-        known = _length(self.brackets[:, 1] - self.brackets[:, 0]) <= 2.0 * tolerance
+        known = self._widths() <= 2.0 * tolerance
         lines = Crossings(self.brackets[known], self.runs["outcome"][known])
 
         def place(edges: Codes, distances: Floats) -> Floats:
@@ -404,7 +407,7 @@ class Lines:
 
     def _is_located(self, corners: Nodes) -> Bools:
         """Whether all crossings on the edges of triangles are located, one on each."""
-        edges = keys_of(corners, np.roll(corners, -1, axis=1))
+        edges = _edges(corners)
         labels = self.triangles.outcome[corners]
         is_located: Bools = ((labels == np.roll(labels, -1, axis=1)) | np.isin(edges, self.keys)).all(axis=1)
         return is_located
@@ -443,5 +446,5 @@ class Lines:
         mixed = np.concatenate(self.triangles.mixed())
         # where runs were too few for all crossings, those as near as chords are will do
         far = _LOCATED if self._may_run(_ON_EDGES) else CHORD
-        wide = self.keys[_length(self.brackets[:, 1] - self.brackets[:, 0]) > far]
-        return mixed[np.isin(keys_of(mixed, np.roll(mixed, -1, axis=1)), wide).any(axis=1)]
+        wide = self.keys[self._widths() > far]
+        return mixed[np.isin(_edges(mixed), wide).any(axis=1)]
