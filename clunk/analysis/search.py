@@ -252,7 +252,7 @@ class PointRuns:
         """How many runs of one common driveline, by exact or in `_STEPS` steps of rk4, take as long as one of these."""
         study, structural = self.runner.study, self.runner.grid.structural
         steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
-        return max(1, round(steps / _STEPS), count_of_regimes(study) // (2 if structural else 16))
+        return max(1, round(steps / _STEPS), count_of_regimes(study) // (2 if structural else 24))
 
     def __call__(self, values: Floats, more: int = 0) -> Points:
         """Run points.
