@@ -101,9 +101,8 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     for k in range(count):
         if not (k == event or sticking >> k & 1):
             rate, most = _rate(system, system.frictions[k], 0.0, x)
-            most += (
-                derivative(at, regime, rate_of_friction(system, k), 1)[1] * at.time
-            )  # no rate is known better than its time
+            _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
+            most += terms * at.time  # no rate is known better than its time
             if abs(rate) > _WITHIN * most:
                 continue
         resting |= 1 << k
@@ -226,9 +225,10 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
     it is `_WITHIN` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.
     """
     system, most, way = at.system, at.system.friction_torques[friction], 1.0
-    state, functional = state_of_friction(system, regime, friction), rate_of_friction(system, friction)
+    state, functional, order = state_of_friction(system, regime, friction), rate_of_friction(system, friction), 2
     if state == STICKS:
-        torque, size = derivative(at, regime, functional + HOLDING, 0)
+        functional, order = functional + HOLDING, 1
+        torque, size = derivative(at, regime, functional, 0)
         beyond, size, way = abs(torque) - most, size + most, -torque
         # rigid flanks: at F, and not only at the little more that it holds
         limit = most if system.impulsive == 0 else most / (1.0 + ABOVE)
@@ -244,10 +244,8 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
         return float(beyond / size)
     if not is_at_limit:
         return 0.0
-    onwards = (
-        derivative(at, regime, functional + HOLDING, 1) if state == STICKS else derivative(at, regime, functional, 2)
-    )
-    return _WITHIN if way * onwards[0] < 0.0 else 0.0
+    onwards, _ = derivative(at, regime, functional, order)
+    return _WITHIN if way * onwards < 0.0 else 0.0
 
 
 @part
