@@ -1,12 +1,12 @@
 """Tracing the lines between the labels of a map of two axes, by batches of runs.
 
 The cells in which labels differ are cut into triangles. Where the ends of an edge differ, a crossing is located
-(`clunk.analysis.search`), on a few edges at first, by which the lines are continued to the others (`Crossings`): lines
-are smooth, and where one is expected two runs locate it. One operation refines what is not told well enough, a node on
-an edge: between two crossings of the same edge; on the far edge of a triangle whose line is further from its chord than
-`CHORD`; and beside the crossing on the longest edge of a triangle of three labels, until these meet in a triangle as
-small as `JUNCTION`. All that needs crossings to `_NEAR` only. Those that there are in the end are narrowed to the
-tolerance with the runs that are left, so that what lies where comes before its digits.
+(`clunk.analysis.search`), where runs take long on a few edges at first, by which the lines are continued to the others
+(`Crossings`): lines are smooth, and where one is expected two runs locate it. One operation refines what is not told
+well enough, a node on an edge: between two crossings of the same edge; on the far edge of a triangle whose line is
+further from its chord than `CHORD`; and beside the crossings on the long edges of a triangle of three labels, until
+these meet in a triangle as small as `JUNCTION`. All that needs crossings to `_NEAR` only. Those that there are in the
+end are narrowed to the tolerance with the runs that are left, so that what lies where comes before its digits.
 
 It ends because it takes `_MOST_ROUNDS` rounds at most, and nodes are added only with the first part of the runs that
 there are (`most_runs`). Each round takes all edges and triangles that wait, so that where labels change on all scales
@@ -29,13 +29,15 @@ RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each ot
 _MOST_ROUNDS = 128
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 8  # on an edge, that are told apart
+_LONG = 0.5  # of a triangle's longest edge
 _BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
 _RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 10, 100_000
 _TOUCHES = 10  # that take as long as a run without any
 _CUT, _ON_EDGES = 0.8, 0.95  # of these, with which edges are cut, and crossings located on edges
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
 _NEAR, _OF_EDGE = 1e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
-_EVERY, _AT_ONCE = (27, 9, 3, 1), 256  # parts of the edges by which lines are continued, and edges that are no more
+# parts of the edges by which lines are continued, of more than so many whose runs take so long
+_EVERY, _AT_ONCE, _DEAR = (9, 3, 1), 256, 2
 _POINTS, _NEIGHBOURS = 4, 8  # crossings that continue a line, of so many that are the nearest
 _REACH = 15.0  # lengths of an edge, within which these are
 _OFF = 0.15  # of the change by the last of these, that a crossing may be off
@@ -54,7 +56,7 @@ def most_runs(cells: int, cost: int = 1) -> int:
 
 def _cost_of(runs: Points) -> int:
     """Number of runs without touches that take as long as some runs."""
-    return len(runs) + int(np.maximum(runs["touches"], 0).sum()) // _TOUCHES
+    return runs.size + int(np.maximum(runs["touches"], 0).sum()) // _TOUCHES
 
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:
@@ -82,15 +84,6 @@ def cross(one: Floats, other: Floats) -> Floats:
 def _length(vectors: Floats) -> Floats:
     lengths: Floats = np.hypot(vectors[..., 0], vectors[..., 1])
     return lengths
-
-
-def _parts(count: int) -> list[Codes]:
-    """Positions 0 to count - 1 in parts, of many first a few, by which the lines are continued to the others."""
-    rest, parts = np.arange(count), []
-    for every in _EVERY if count > _AT_ONCE else (1,):
-        parts.append(rest[::every])
-        rest = np.delete(rest, np.s_[::every])
-    return [part for part in parts if part.size]
 
 
 class Triangles:
@@ -220,7 +213,8 @@ class Lines:
 
     def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int = 1) -> None:
         self.triangles, self._run_points = triangles, run
-        self._most_runs, self._spent, self._rounds = most_runs(_cost_of(triangles.runs), cost), 0, 0
+        self._cost, self._most_runs = cost, most_runs(_cost_of(triangles.runs), cost)
+        self._spent, self._rounds = 0, 0
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._cuts: list[tuple[Codes, Floats, Points]] = []
         self.runs = np.zeros((0, 2), POINT)
@@ -259,6 +253,15 @@ class Lines:
         runs = self._run_points(places)
         self._spent += _cost_of(runs)
         return runs
+
+    def _parts(self, runs: Points) -> list[Codes]:
+        """Positions of edges in parts, from runs on them (n, 2): first a few, by which lines are continued."""
+        rest, parts = np.arange(len(runs)), []
+        is_worth_it = rest.size > _AT_ONCE and self._cost * _cost_of(runs) > _DEAR * runs.size
+        for every in _EVERY if is_worth_it else (1,):
+            parts.append(rest[::every])
+            rest = np.delete(rest, np.s_[::every])
+        return [part for part in parts if part.size]
 
     def _may_run(self, share: float = 1.0) -> bool:
         return self._spent < share * self._most_runs
@@ -314,7 +317,7 @@ class Lines:
         keys = keys[~np.isin(keys, self.keys)]
         nodes = np.stack(ends_of(keys), axis=1)
         new = len(self.triangles.runs)
-        for part in _parts(keys.size):
+        for part in self._parts(self.triangles.runs[nodes]):
             brackets, runs = self.triangles.positions[nodes[part]], self.triangles.runs[nodes[part]]
             lines, ends, runs = self._crossings(keys[part], brackets, runs, _NEAR)
             edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
@@ -333,7 +336,7 @@ class Lines:
         """Narrow the brackets of the crossings that there are in the end."""
         width = self._widths()
         at = np.flatnonzero(np.isin(self.keys, self._mixed_edges()) & (width > TOLERANCE) & (width < 2.0 * _NEAR))
-        for part in _parts(at.size):
+        for part in self._parts(self.runs[at]):
             rows = at[part]
             _, self.brackets[rows], self.runs[rows] = self._crossings(
                 self.keys[rows], self.brackets[rows], self.runs[rows], TOLERANCE
@@ -397,12 +400,12 @@ class Lines:
         if not self._may_cut():
             self.unresolved = np.concatenate([self.unresolved, positions[np.concatenate([two, three])].mean(axis=1)])
             return
-        longest = sides[is_large, np.argmax(lengths, axis=1)[is_large]]
-        crossing = self.position(keys_of(*longest.T))
-        away = positions[longest] - crossing[:, None]
-        to_far_end = away[np.arange(len(longest)), np.argmax(_length(away), axis=1)]
+        long = sides[is_large][lengths[is_large] > _LONG * lengths[is_large].max(axis=1, keepdims=True)]
+        crossing = self.position(keys_of(*long.T))
+        away = positions[long] - crossing[:, None]
+        to_far_end = away[np.arange(len(long)), np.argmax(_length(away), axis=1)]
         places = np.concatenate([positions[two[:, 1:]].mean(axis=1), crossing + _BESIDE * to_far_end])
-        keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], longest]).T), return_index=True)
+        keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], long]).T), return_index=True)
         self._cuts.append((keys, places[at], self._run(places[at])))
 
     def _is_located(self, corners: Nodes) -> Bools:
