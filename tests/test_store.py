@@ -106,11 +106,17 @@ def test_a_file_is_the_same_in_however_many_parts_its_impacts_are_written_and_re
     """By row, or by two: the values of a map with one busy cell need never be in memory with their padding."""
     results = example(INERTIA, RATIO, BACKLASH)
     store.write_results(tmp_path / "whole.h5", results)
-    monkeypatch.setattr(netcdf, "_SLAB", places)
+    monkeypatch.setattr(netcdf, "_CHUNK", places)
+    monkeypatch.setattr(netcdf, "_SMALL", 0)
     store.write_results(tmp_path / "parts.h5", results)
     for name in ("whole.h5", "parts.h5"):
         assert_same(results, store.read_results(tmp_path / name))
-    assert len([*netcdf.slabs(results.shape, 5)]) > 1
+    with h5py.File(tmp_path / "whole.h5") as whole, h5py.File(tmp_path / "parts.h5") as parts:  # as HDF5 itself reads
+        for name, stored in parts.items():
+            np.testing.assert_array_equal(stored[()], whole[name][()])
+        impacts = parts["impact_time"]
+        assert (impacts.compression, impacts.compression_opts, impacts.shuffle) == ("gzip", 1, True)
+        assert impacts.chunks[:2] < impacts.shape[:2]
 
 
 def test_padded_impacts_follow_their_cell() -> None:

@@ -1,5 +1,7 @@
 """Tiles: any cells in any order give the same results, and their bytes are believed only as they were written."""
 
+import io
+
 import numpy as np
 import pytest
 from conftest import NOMINAL
@@ -11,7 +13,7 @@ from clunk.study.designs import design_of_points
 from clunk.study.errors import ClunkError
 from clunk.sweeping import cells
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.parts import from_bytes, to_bytes
+from clunk.sweeping.parts import tiles_of, write_tiles
 from clunk.sweeping.reduction import Reduction, in_order, regime_map
 from clunk.sweeping.sweep import sweep
 
@@ -80,32 +82,41 @@ def test_events_that_find_no_room_get_it(method, measured, monkeypatch):
         reduction.add(grid.run(np.arange(50), np.zeros(1, np.uint8)))
         records, details = reduction.collected()
         assert not records["status"].any()
-        arrays = records, details, *grid.logged(ratios, 50), run.phases
-        return [*(array[name].tobytes() for array in arrays for name in array.dtype.names), run.phase_states.tobytes()]
+        columns = [*records.values(), *details.values()]
+        columns += [array[name] for array in (*grid.logged(ratios, 50), run.phases) for name in array.dtype.names]
+        return [column.tobytes() for column in (*columns, run.phase_states)]
 
     at_once = bits()
     monkeypatch.setattr(cells.kernel, "EVENTS", 3)
     assert bits() == at_once
 
 
-def test_bytes_give_the_same_tile_again(tile):
-    again = from_bytes(to_bytes([tile, tile], ORIGIN), ORIGIN)
-    for name in ("cells", "records", "details"):
-        one, two = getattr(tile, name), getattr(again, name)
-        assert one.dtype == two.dtype
-        for column in one.dtype.names or (...,):
-            assert two[column].tobytes() == one[column].tobytes() * 2
+def written(tiles):
+    raw = io.BytesIO()
+    write_tiles(raw, tiles, ORIGIN)
+    return raw.getvalue()
+
+
+def test_bytes_give_the_same_tiles_again(tile):
+    tiles = tiles_of(written([tile, tile]), ORIGIN)
+    assert len(tiles) == 2
+    for again in tiles:
+        for name in ("cells", "records", "details"):
+            one, two = getattr(tile, name), getattr(again, name)
+            assert one.dtype == two.dtype
+            for column in one.dtype.names or (...,):
+                assert two[column].tobytes() == one[column].tobytes()
 
 
 def test_bytes_of_another_origin_cut_or_changed_are_refused(tile):
-    raw = to_bytes([tile], ORIGIN)
+    raw = written([tile])
     flipped = [bytearray(raw) for _ in range(300)]
     for changed, place in zip(flipped, np.random.default_rng(0).integers(0, 8 * len(raw), 300), strict=True):
         changed[place // 8] ^= 1 << (place % 8)
     cut = [raw[:length] for length in [*range(0, len(raw), 97), len(raw) - 1]]
     for changed, origin in [(raw, ORIGIN[::-1]), *((each, ORIGIN) for each in [*flipped, *cut, raw + b"\0"])]:
         with pytest.raises(ValueError, match="damaged, or of another study"):
-            from_bytes(bytes(changed), origin)
+            tiles_of(bytes(changed), origin)
 
 
 def test_more_labels_than_a_map_can_number_are_refused_in_a_sentence():

@@ -67,7 +67,7 @@ class Layout:
 
     def rows(self, cells: Array) -> Array:
         """Numbers of the rows of some cells, in their order, from the cells' numbers."""
-        return cells if self.lashes == 1 else (cells[:, None] * self.lashes + np.arange(self.lashes)).ravel()
+        return (cells[:, None] * self.lashes + np.arange(self.lashes)).ravel()
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ from clunk.sweeping.machine import available_cores
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
 _MOMENT = 0.01  # s of runs that are not: to start threads and to wait for them takes 1 ms
-_AHEAD = 2  # tiles handed to each worker
-_AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
+_AHEAD = 8  # tiles handed to each worker, which goes on while a part is written to the disk, 0.1 to 0.3 s
 _ATTENDED = 25  # workers whose tiles of the usual size this process can look after: 4 ms each, of 0.1 s
 
 
@@ -108,8 +107,7 @@ def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: 
     largest = tile_cells * max(1, workers // _ATTENDED)
     least = max(min(largest // 8, -(-cells // workers)), 1)
     size = min(max(-(-waiting // (2 * workers)), least), largest)
-    enough = workers * (_AHEAD_OF_WHOLE if size == largest else _AHEAD)
-    return min(size, waiting) if running < enough else 0
+    return min(size, waiting) if running < workers * _AHEAD else 0
 
 
 @contextmanager

@@ -135,15 +135,15 @@ class Parts:
         """The parts that are whole and of this sweep; all others are removed."""
         for path in self.directory.parts():
             try:
-                tile = from_bytes(path.read_bytes(), self._origin)
+                tiles = tiles_of(path.read_bytes(), self._origin)
             except (OSError, ValueError):
                 self.discarded += 1
                 with suppress(OSError):
                     path.unlink()
                 continue
-            self.taken_up += tile.cells.size
-            self.kept += tile.cells.size
-            yield tile
+            self.taken_up += sum(tile.cells.size for tile in tiles)
+            self.kept = self.taken_up
+            yield from tiles
 
     def add(self, tile: Tile) -> None:
         """Keep a tile; tiles that have accumulated are written as a part now and then. Raises PartsError."""
@@ -164,8 +164,8 @@ class Parts:
                 if not manifest.exists():
                     text = json.dumps(self._manifest, indent=1, ensure_ascii=False)
                     write_whole(manifest, lambda file: file.write(text.encode()))
-                part = to_bytes(self._waiting, self._origin)
-                write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.write(part))
+                part = self.directory.path / f"part-{self._number + 1:06}"
+                write_whole(part, lambda file: write_tiles(file, self._waiting, self._origin))
             except OSError as error:
                 raise PartsError(
                     f"{self.directory.path} cannot take the finished cells: {reason(error)}; "
@@ -195,27 +195,32 @@ class Parts:
             )
 
 
-def to_bytes(tiles: Sequence[Tile], origin: bytes) -> bytes:
-    """Bytes of tiles: a SHA-256, then all tiles' cells, their records, and their details, each as a file of NumPy's.
+def write_tiles(file: BinaryIO, tiles: Sequence[Tile], origin: bytes) -> None:
+    """Write a SHA-256, then each tile's cells, records and details, each as a file of NumPy's.
 
     origin : identifies the study and the versions of the tiles
     """
-    raw, checksum = io.BytesIO(), hashlib.sha256(origin)
-    raw.write(checksum.digest())  # its room
-    for name in _ARRAYS:
-        np.save(raw, np.concatenate([getattr(tile, name) for tile in tiles]))
-    with raw.getbuffer() as content:  # in its place: a part is tens of MB
-        checksum.update(content[_DIGEST:])
-        content[:_DIGEST] = checksum.digest()
-    return raw.getvalue()
+    checksum = hashlib.sha256(origin)
+    file.write(checksum.digest())  # its room
+    for tile in tiles:
+        raw = io.BytesIO()
+        for name in _ARRAYS:
+            np.save(raw, getattr(tile, name))
+        checksum.update(raw.getbuffer())
+        file.write(raw.getbuffer())
+    file.seek(0)
+    file.write(checksum.digest())
 
 
-def from_bytes(raw: bytes, origin: bytes) -> Tile:
-    """Read the bytes that `to_bytes` made, as a single tile. Raises ValueError where a bit or the origin differs."""
-    if hashlib.sha256(origin + raw[_DIGEST:]).digest() != raw[:_DIGEST]:
+def tiles_of(raw: bytes, origin: bytes) -> list[Tile]:
+    """The tiles in bytes that `write_tiles` wrote. Raises ValueError where a bit or the origin differs."""
+    checksum, content, tiles = raw[:_DIGEST], raw[_DIGEST:], []
+    if hashlib.sha256(origin + content).digest() != checksum:
         raise ValueError("damaged, or of another study or version")
-    arrays = io.BytesIO(raw[_DIGEST:])
-    return Tile(*(np.load(arrays) for _ in _ARRAYS))
+    arrays = io.BytesIO(content)
+    while arrays.tell() < len(content):
+        tiles.append(Tile(*(np.load(arrays) for _ in _ARRAYS)))
+    return tiles
 
 
 def differences(config: str, study: Study) -> str:

@@ -4,7 +4,7 @@ A sweep is a design, the cells of which a grid runs to tiles, and a map that is 
 and tolerance maps (`clunk.sweeping.tolerances`) differ in the grid and in the map's arrays.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from functools import lru_cache
@@ -25,18 +25,22 @@ from clunk.sweeping.cells import Grid, Tile
 from clunk.sweeping.engines import run_tiles
 from clunk.sweeping.progress import Progress
 
+Columns = Mapping[str, Array]  # fields of records, by name
 
-def labels_of(records: Records, impacts: Records) -> tuple[tuple[str, ...], LabelCodes]:
+
+def labels_of(records: Records | Columns, impacts: Records | Columns) -> tuple[tuple[str, ...], LabelCodes]:
     """Labels of runs in `label_order`, and each run's code among them, -1 where it failed.
 
     records : CELL
     impacts : IMPACT, of all runs behind one another
     """
-    patterns, inverse = np.unique(records["pattern"], return_inverse=True)
+    patterns = np.unique(records["pattern"])  # with its inverse it would sort them all
     # the bits of a pattern behind its leading 1 are flanks; it is 0 where they are too many, or the run failed
-    flanks = [[OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:]] for pattern in patterns.tolist()]
-    words = [label(each) if pattern else FAILED for pattern, each in zip(patterns.tolist(), flanks, strict=True)]
-    word_of, ends = inverse.reshape(-1), np.cumsum(records["primary_impacts"])
+    words = [
+        label([OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:]]) if pattern else FAILED
+        for pattern in patterns.tolist()
+    ]
+    word_of, ends = np.searchsorted(patterns, records["pattern"]), np.cumsum(records["primary_impacts"])
     for k in np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK)).tolist():
         word_of[k] = len(words)
         words.append(label(impacts["flank"][ends[k] - records["primary_impacts"][k] : ends[k]]))
@@ -78,13 +82,14 @@ class Reduction:
         self.rows = self.design.cells * grid.layout.lashes
         self.known: Bools = np.zeros(self.design.cells, bool)
         self.done = 0
-        self._records = np.zeros(self.rows, grid.layout.record)
+        self._records = _columns(self.rows, grid.layout.record)
         self._details: list[tuple[Cells, Records]] = []  # rows, and the details of these behind one another
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells, none of which is there already."""
         rows = self.grid.layout.rows(tile.cells)
-        self._records[rows] = tile.records
+        for name, column in self._records.items():
+            column[rows] = tile.records[name]
         self._details.append((rows, tile.details))
         self.known[tile.cells] = True
         self.done += tile.cells.size
@@ -110,13 +115,23 @@ class Reduction:
                 if progress is not None:
                     progress(self.done, self.design.cells)
 
-    def collected(self) -> tuple[Records, Records]:
+    def collected(self) -> tuple[Columns, Columns]:
         """Records of all rows, and their details, those of each row behind those of the row before it."""
         assert self.known.all()
-        rows = np.concatenate([rows for rows, _ in self._details])
-        order = np.argsort(np.repeat(rows, self._records[self.grid.layout.counted_by][rows]), kind="stable")
-        details = np.concatenate([details for _, details in self._details])
-        return self._records, details.take(order)  # does with records in a fifth of the time what indexing does
+        counts = self._records[self.grid.layout.counted_by]
+        ends = np.cumsum(counts, dtype=np.int64)
+        columns = _columns(ends[-1], np.result_type(*{details.dtype for _, details in self._details}))
+        for rows, details in self._details:
+            of_rows = counts[rows]
+            places = np.repeat(ends[rows] - np.cumsum(of_rows), of_rows) + np.arange(details.size)
+            for name, column in columns.items():
+                column[places] = details[name]
+        return self._records, columns
+
+
+def _columns(size: int, record: np.dtype[np.void]) -> Columns:
+    """An array of zeros for each field of a record: many records take half the time to make of these."""
+    return {name: np.zeros(size, record[name]) for name in record.names or ()}
 
 
 @lru_cache(4)
@@ -130,10 +145,8 @@ def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
     records, impacts = reduction.collected()
     (labels, codes), study = labels_of(records, impacts), reduction.study
     measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
-    arrays: dict[str, Array] = {"sequence": codes.reshape(reduction.shape)}
+    columns, arrays = {**records, "sequence": codes}, {}
     for name, quantity in (REGIME_QUANTITIES | measured).items():
-        if quantity.dimension:
-            arrays[name] = impacts[name.removeprefix("impact_")].astype(quantity.dtype)
-        elif name != "sequence":
-            arrays[name] = records[name].astype(quantity.dtype).reshape(reduction.shape)
+        column = impacts[name.removeprefix("impact_")] if quantity.dimension else columns[name].reshape(reduction.shape)
+        arrays[name] = column.astype(quantity.dtype, copy=False)
     return Results(axes=reduction.axes, **heading_of(study), labels=labels, arrays=arrays, attributes=attributes)

@@ -19,7 +19,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.records import counted
 from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import EngineError, Threads
+from clunk.sweeping.engines import EngineError, Threads, deferred_signals
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress, reporting
@@ -101,8 +101,8 @@ class Job:
             raise
         finally:
             if added is not self.held and self.path is not None and self.directory is not None:
-                write_results(self.path, added, self.directory.path)
-                with suppress(PartsError):  # the map is in its file: parts of it that cannot be removed stay
+                with deferred_signals(), suppress(PartsError):  # parts of the map that cannot be removed stay
+                    write_results(self.path, added, self.directory.path)
                     self.directory.clear()
         return added
 

@@ -127,7 +127,7 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
             "sequence": sequence.reshape(shape),
             "nominal_sequence": nominal.reshape(shape),
             "severity_mean": records["severity_mean"].reshape(shape),
-            "severity_quantiles": records["severity_quantiles"].reshape(*shape, len(QUANTILES)),
+            "severity_quantiles": records["severity_quantiles"].reshape(*shape, -1),
             "status": records["status"].reshape(shape),
         },
         attributes=attributes,
