@@ -17,10 +17,8 @@ from clunk.core.exact.workspace import (
     make_workspace,
     system_at,
     system_of,
-    waiting_queues,
 )
 from clunk.core.jit import compiled, part
-from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import refer
 from clunk.core.regimes import System, driveline_at
 from clunk.core.rk4 import run as rk4
@@ -163,9 +161,7 @@ def run_tile(
         )
         room = make_room(system, tables)
         return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, x, stop)
-    # of several elements there are more queues: enough runs that each may have as many as there are lanes
-    under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables))
-    slots = min(under_way, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
+    slots = min(UNDER_WAY, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
     space = make_workspace(batch.systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)
     begins, impacts = np.full(cells - first, -1), output.impacts

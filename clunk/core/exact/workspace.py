@@ -20,7 +20,10 @@ from clunk.core.regimes import System, driveline_at
 from clunk.core.runs import Log
 from clunk.core.sequence import COURSE
 
-UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
+# Runs: many wait for the same, and its code is at hand for several steps on end. With as many as fill all queues of a
+# system of several elements, their events take so much memory that it is given back to the operating system, and taken
+# anew, with each tile: the rig with two frictions then takes 1.1 to 1.3 times as long, and with two lashes 1.03 times.
+UNDER_WAY = 16 * WIDTH
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
 OF_SEEN = 13  # rows of lanes that a step keeps of a functional
 
@@ -121,7 +124,8 @@ def make_workspace(
     shortest = aligned(count)
     shortest[:] = flows.span[0, :, :1]
     # in order: span, short, enter, each by group; search by flow and functional; over; follow
-    groups, over = system.leaders.size, waiting_queues(system, flows)
+    groups = system.leaders.size
+    over = 3 * groups + count * flows.watch.shape[2]
     queues = Queues(0, groups, 2 * groups, 3 * groups, over, over + 1)
     lashes, driven = system.lash_count, system.input_count
     inputs_at = size + rows.shift(most, lashes)
@@ -170,11 +174,6 @@ def make_workspace(
         lane_table=aligned(size * max(size, LONG)),
         held=np.zeros((lashes, 2)),
     )
-
-
-def waiting_queues(system: System, flows: Flows) -> int:
-    """The number of queues in which runs and searches wait: three for each group, one for each functional of a flow."""
-    return int(3 * system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2])
 
 
 @inlined_part
