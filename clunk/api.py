@@ -106,7 +106,7 @@ def sweep(
     engine = sweeping.engine_of(scheduler, workers)
 
     def trace(results: AnyMap) -> AnyMap:
-        with shown(0, RUNS_OF_BOUNDARIES) if progress is True else nullcontext() as report:
+        with shown(RUNS_OF_BOUNDARIES) if progress is True else nullcontext() as report:
             return with_boundaries(study, results, lash=lash, workers=workers, progress=report)
 
     addition = trace if traces else None

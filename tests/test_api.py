@@ -202,7 +202,7 @@ def test_progress_is_a_line_that_is_rewritten_or_a_line_now_and_then(where, monk
         monkeypatch.setitem(sys.modules, "IPython", shell)
     for name in ("_LINE_EVERY", "_REWRITTEN_EVERY"):
         monkeypatch.setattr(progress, name, 0.0)
-    with suppress(KeyboardInterrupt), progress.shown(100) as tell:
+    with suppress(KeyboardInterrupt), progress.shown() as tell:
         for done in (10, 20, 60):
             tell(done, 100)
         raise KeyboardInterrupt

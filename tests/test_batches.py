@@ -99,8 +99,8 @@ def test_random_drivelines_side_by_side_have_the_bits_that_each_has_alone(seed, 
     for k in many:
         alone.add(grid.run(many[k : k + 1], stop))
     for side_by_side, one_by_one in zip(together.collected(), alone.collected(), strict=True):
-        for name in side_by_side.dtype.names:
-            assert side_by_side[name].tobytes() == one_by_one[name].tobytes(), name
+        for name, column in side_by_side.items():
+            assert column.tobytes() == one_by_one[name].tobytes(), name
     _, events = grid.logged(points, 12)
     for k in many:
         _, of_alone = grid.logged({key: column[k : k + 1] for key, column in points.items()}, 1)

@@ -99,14 +99,18 @@ def test_what_is_written_is_what_is_read(tmp_path: Path, axes: tuple[ResultAxis,
         assert impacts or np.isnan(file["impact_time"][()]).all()
 
 
-@pytest.mark.parametrize("places", [1, 250])
+@pytest.mark.parametrize(("places", "together"), [(1, 1), (250, 1), (1, 30), (250, 90)])
 def test_a_file_is_the_same_in_however_many_parts_its_impacts_are_written_and_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, places: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, places: int, together: int
 ) -> None:
-    """By row, or by two: the values of a map with one busy cell need never be in memory with their padding."""
+    """By row, or by two: the values of a map with one busy cell need never be in memory with their padding.
+
+    A chunk has one place of each cell, or two or three of five, so that the last one reaches beyond them.
+    """
     results = example(INERTIA, RATIO, BACKLASH)
     store.write_results(tmp_path / "whole.h5", results)
-    monkeypatch.setattr(netcdf, "_CHUNK", places)
+    monkeypatch.setattr(netcdf, "_SLAB", places)
+    monkeypatch.setattr(netcdf, "_CHUNK", together)
     monkeypatch.setattr(netcdf, "_SMALL", 0)
     store.write_results(tmp_path / "parts.h5", results)
     for name in ("whole.h5", "parts.h5"):
@@ -117,6 +121,7 @@ def test_a_file_is_the_same_in_however_many_parts_its_impacts_are_written_and_re
         impacts = parts["impact_time"]
         assert (impacts.compression, impacts.compression_opts, impacts.shuffle) == ("gzip", 1, True)
         assert impacts.chunks[:2] < impacts.shape[:2]
+        assert impacts.chunks[-1] == {1: 1, 30: 2, 90: 3}[together]
 
 
 def test_padded_impacts_follow_their_cell() -> None:

@@ -36,8 +36,7 @@ _TOUCHES = 10  # that take as long as a run without any
 _CUT, _ON_EDGES = 0.8, 0.95  # of these, with which edges are cut, and crossings located on edges
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
 _NEAR, _OF_EDGE = 1e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
-# parts of the edges by which lines are continued, of more than so many whose runs take so long
-_EVERY, _AT_ONCE, _DEAR = (9, 3, 1), 256, 2
+_AT_ONCE, _DEAR = 256, 2  # edges, and times a run without touches: of more, by the first of which lines are continued
 _POINTS, _NEIGHBOURS = 4, 8  # crossings that continue a line, of so many that are the nearest
 _REACH = 15.0  # lengths of an edge, within which these are
 _OFF = 0.15  # of the change by the last of these, that a crossing may be off
@@ -160,26 +159,18 @@ class Crossings:
         self._places = np.repeat(brackets.mean(axis=1), 2, axis=0)
         self._ways = np.diff(brackets[:, [0, 1, 0]], axis=1).reshape(-1, 2)
         sides = np.stack([outcomes, outcomes[:, ::-1]], axis=1).reshape(-1, 2)
-        self._trees = [KDTree(np.column_stack([self._places, _OTHERS * sides[:, :count]])) for count in (2, 1)]
+        self._tree = KDTree(np.column_stack([self._places, _OTHERS * sides]))
 
     def continued(self, begin: Floats, way: Floats, sides: Codes, but: Floats) -> Floats:
         """Shares of the way along edges at which a line is expected, and by how much that may be off, (n, 2).
 
-        It is a line between two outcomes (n, 2), else one beside the first, continued by the polynomial through
-        `_POINTS` crossings nearby but for those at some places (n, k, 2). NaN where there are too few.
+        It is the line between two outcomes (n, 2), continued by the polynomial through `_POINTS` crossings nearby but
+        for those at some places (n, k, 2). NaN where there are too few.
         """
         shares = np.full((len(begin), 2), np.nan)
-        if len(self._places) >= _NEIGHBOURS:
-            for tree in self._trees:
-                rest = np.flatnonzero(np.isnan(shares[:, 0]))
-                ends = np.column_stack([begin[rest] + 0.5 * way[rest], _OTHERS * sides[rest, : tree.m - 2]])
-                distance, at = tree.query(ends, _NEIGHBOURS)
-                shares[rest] = self._through(distance, at, begin[rest], way[rest], but[rest])
-        return shares
-
-    def _through(self, distance: Floats, at: Nodes, begin: Floats, way: Floats, but: Floats) -> Floats:
-        """What `continued` tells, by the crossings (n, `_NEIGHBOURS`) at these distances."""
-        shares = np.full((len(begin), 2), np.nan)
+        if len(self._places) < _NEIGHBOURS:
+            return shares
+        distance, at = self._tree.query(np.column_stack([begin + 0.5 * way, _OTHERS * sides]), _NEIGHBOURS)
         places, length = self._places[at], _length(way)[:, None]
         is_near = (distance < _REACH * length) & ((self._ways[at] * way[:, None]).sum(axis=2) > 0.0)
         is_near &= (_length(places[:, :, None] - but[:, None]) > _NEAR).all(axis=2)
@@ -256,18 +247,16 @@ class Lines:
 
     def _parts(self, runs: Points) -> list[Codes]:
         """Positions of edges in parts, from runs on them (n, 2): first a few, by which lines are continued."""
-        rest, parts = np.arange(len(runs)), []
-        is_worth_it = rest.size > _AT_ONCE and self._cost * _cost_of(runs) > _DEAR * runs.size
-        for every in _EVERY if is_worth_it else (1,):
-            parts.append(rest[::every])
-            rest = np.delete(rest, np.s_[::every])
-        return [part for part in parts if part.size]
+        at = np.arange(len(runs))
+        if at.size <= _AT_ONCE or self._cost * _cost_of(runs) <= _DEAR * runs.size:
+            return [at] if at.size else []
+        return [at[::9], np.delete(at[::3], np.s_[::3]), np.delete(at, np.s_[::3])]
 
     def _may_run(self, share: float = 1.0) -> bool:
         return self._spent < share * self._most_runs
 
-    def _may_cut(self, share: float = _CUT) -> bool:
-        return self._may_run(share) and self._rounds < _MOST_ROUNDS
+    def _may_cut(self) -> bool:
+        return self._may_run(_CUT) and self._rounds < _MOST_ROUNDS
 
     def bracket(self, keys: Codes) -> Floats:
         """Ends of the brackets of the crossings on edges, (2, n, 2), from each edge's first node on."""

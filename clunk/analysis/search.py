@@ -227,7 +227,7 @@ class PointRuns:
     lash : position of the one whose outcome it is
     engine : of threads
     words : outcomes that have codes already; others get the next ones
-    progress : called after each batch with the numbers of points that have been run and that are expected
+    progress : called after each batch with the number of points that have been run, and 0
     """
 
     def __init__(
@@ -254,12 +254,8 @@ class PointRuns:
         steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
         return max(1, round(steps / _STEPS), count_of_regimes(study) // (2 if structural else 24))
 
-    def __call__(self, values: Floats, more: int = 0) -> Points:
-        """Run points.
-
-        values : (n, parameters), in their units
-        more : number of points that are expected to follow; 0 if that is unknown, and so for progress the number of all
-        """
+    def __call__(self, values: Floats) -> Points:
+        """Run points, (n, parameters), in their units."""
         points = np.zeros(len(values), POINT)
         points["outcome"], points["measure"] = FAILED_CODE, np.nan
         if not len(values):
@@ -270,7 +266,7 @@ class PointRuns:
             if len(values) == 1:
                 return points
             middle = len(values) // 2
-            return np.concatenate([self(values[:middle], more), self(values[middle:], more)])
+            return np.concatenate([self(values[:middle]), self(values[middle:])])
         points["touches"] = results.touches
         finished = results.status == Status.OK
         words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
@@ -280,7 +276,7 @@ class PointRuns:
         self.failures.update(map(Status, results.status[~finished].tolist()))
         self.count += len(values)
         if self._progress is not None:
-            self._progress(self.count, self.count + more if more else 0)
+            self._progress(self.count, 0)
         return points
 
     def _word(self, value: str | float) -> Word:

@@ -54,9 +54,7 @@ from clunk.sweeping.sweep import engine_of
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
 UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `threshold_quantiles`
 
-# With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
-# they are 15, with 22 no more than with 16.
-_HALVINGS = 16  # of the spacing where something may be hidden
+_HALVINGS = 16  # of the spacing where something may be hidden: with 22 no more was found
 _MOST = 32  # thresholds between two neighbours that are resolved
 
 
@@ -246,7 +244,7 @@ def thresholds(
             columns[along_axis.parameter] = values
             draws = columns.pop(DRAW, np.ones(1)).astype(np.int64)
             columns = with_draws(study, columns, tolerances, (numbers[draws - 1] for numbers in drawn))
-            runs = point_runs(point_runs.runner.values(columns), more=4 * values.size)
+            runs = point_runs(point_runs.runner.values(columns))
             runs["cell"], runs["value"] = cells, values
             return runs
 

@@ -94,7 +94,7 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
     from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, with_boundaries
 
     def trace(results: AnyMap) -> AnyMap:
-        with progress.shown(0, RUNS_OF_BOUNDARIES) as show:
+        with progress.shown(RUNS_OF_BOUNDARIES) as show:
             return with_boundaries(study, results, lash=lash, workers=workers, progress=show)
 
     began = time.perf_counter()

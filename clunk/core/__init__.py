@@ -26,8 +26,8 @@ bounds), `moving` (along the modes), `taylor` (series over the shortest span), `
 
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
 
-`measures` walks over a finished run whose states were kept, along `channels` (quantities as series in time), with
-`exponential` for its steps; nothing of a run depends on it.
+`measures` walks over a finished run whose states were kept, along `channels` (quantities as series in time, tabulated
+in `simulation.measures`); nothing of a run depends on it.
 
 A sweep enters by `tile.run_tile`: for each cell `_begin`, then `run.begin` and `run.advance` of the exact method or
 `rk4.run.run`, and at the end `_finish`, which packs the primaries' flanks into a `pattern`; a single run is a tile of

@@ -120,11 +120,6 @@ class Batch(NamedTuple):
         return Batch(driveline_at(self.systems, drivelines), tables, channels and channels.at(drivelines))
 
 
-def batch_of(system: System, tables: Steps | Flows, channels: Channels | None = None) -> Batch:
-    """A batch of one driveline."""
-    return Batch(driveline_at(system, None), tables, channels)
-
-
 def run_tile(
     batch: Batch,
     undecided: float,

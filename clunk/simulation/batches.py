@@ -9,7 +9,7 @@ from clunk.core.batches import UnlikeError
 from clunk.core.exact.flows import Flows
 from clunk.core.regimes import driveline_at
 from clunk.core.rk4.propagator import build_steps
-from clunk.core.tile import Batch, batch_of
+from clunk.core.tile import Batch
 from clunk.simulation.driveline import Driveline, prepare
 from clunk.simulation.load import WAVES
 from clunk.simulation.measures import channels_of
@@ -119,4 +119,4 @@ def _by_rk4(batch: Batch, step: float) -> Batch:
     """A batch of one driveline with the tables of RK4."""
     assert isinstance(batch.tables, Flows)
     system, steps = build_steps(batch.system, Flows._make(table[0] for table in batch.tables), step)
-    return batch_of(system, steps, batch.channels)
+    return Batch(driveline_at(system, None), steps, batch.channels)

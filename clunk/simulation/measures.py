@@ -2,13 +2,16 @@
 
 import numpy as np
 
-from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, Channels, tabulate
+from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS, Channels
 from clunk.core.regimes import System
-from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, half_gap_of
+from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, TORQUE, TORQUE_RATE, FlowOf, half_gap_of
 from clunk.simulation.driveline import Driveline, flows_of
+from clunk.simulation.phases import exponentials
 from clunk.study.arrays import Floats
 from clunk.study.models import part_of
 from clunk.study.study import Study
+
+_STEP = 1.4  # of 1/rate: the next term is 1.4^20/20! = 3e-16
 
 
 def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
@@ -63,7 +66,7 @@ def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
                 set_shaft_torque(row, k, flow, active)
     pressed = 0.0 if systems.impulsive else 1.0
     return Channels(
-        *tabulate(systems, rows),
+        *_tabulate(systems, rows),
         of_impacts=int(bool(study.impacts.quantities)),
         swings=np.array([measure.reduce == "peak-to-peak" for measure in study.measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
@@ -87,3 +90,30 @@ def torque_across(line: Driveline, systems: System, flow: int, lash: int) -> Flo
 def _read(systems: System, flow: int, functional: int) -> Floats:
     """(D, Z) a functional of a flow, by state and inputs."""
     return np.concatenate([systems.functionals[:, flow, functional], systems.feedthrough[:, flow, functional]], axis=-1)
+
+
+def _tabulate(systems: System, channels: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The lengths, steps, rates and series of D drivelines, see `Channels`.
+
+    Parameters
+    ----------
+    systems : System
+        Of a batch.
+    channels : (D, K, C, Z) float64
+        Channel = row · z.
+    """
+    *flows, size, driven = systems.inputs.shape
+    generators = np.zeros((*flows, size + driven, size + driven))
+    generators[..., :size, :size], generators[..., :size, size:] = systems.rates, systems.inputs
+    generators[..., size + TORQUE, size + TORQUE_RATE] = systems.ramps
+    fastest = np.abs(np.linalg.eigvals(systems.rates)).max(axis=-1)
+    lengths = _STEP / np.maximum(fastest, _STEP / systems.end_time)
+    rates = generators * lengths[..., None, None]
+    terms = [channels]
+    for k in range(1, TERMS):
+        terms.append(terms[-1] @ rates / k)
+    steps = [exponentials(rates, 4.0 * fastest * lengths)]  # of matrices far from normal, four times the largest |λ|
+    for _ in range(1, LEVELS):
+        steps.append(steps[-1] @ steps[-1])
+    transposed = [np.ascontiguousarray(array.swapaxes(-1, -2)) for array in (np.stack(steps, axis=2), rates)]
+    return lengths, *transposed, np.stack(terms, axis=-1)

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.core import switching
-from clunk.core.exponential import exponentials
 from clunk.core.regimes import System
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
 from clunk.core.status import Status
 from clunk.core.tables import TORQUE
 from clunk.study.arrays import Floats, Integers
+
+_TERMS = 20  # of the power series, up to a norm of 1/2: the next one is 4e-25
 
 
 class Regime(NamedTuple):
@@ -124,6 +125,26 @@ def _exponential(matrix: Floats) -> Floats:
     if not np.isfinite(size):
         return np.full(matrix.shape, np.nan)
     return np.asarray(exponentials(scaled, np.asarray(size)) * unit[:, None] / unit)
+
+
+def exponentials(matrices: Floats, sizes: Floats) -> Floats:
+    """exp(matrix), by the power series of a part of it that is squared again and again: (…, Z, Z).
+
+    Parameters
+    ----------
+    matrices : (…, Z, Z) float64
+    sizes : (…,) float64
+        A norm of each, or as much: so many halvings make it 1/2.
+    """
+    squarings = np.maximum(0, np.ceil(np.log2(np.maximum(2.0 * sizes, 1e-300))).astype(np.int64))[..., None, None]
+    part = matrices * np.ldexp(1.0, -squarings)
+    total = power = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
+    for k in range(1, _TERMS):
+        power = power @ part / k
+        total = total + power
+    for k in range(squarings.max(initial=0)):
+        total = np.where(squarings > k, total @ total, total)
+    return np.asarray(total, np.float64)
 
 
 def balanced(matrix: Floats) -> tuple[Floats, Floats, float]:

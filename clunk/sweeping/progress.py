@@ -20,7 +20,7 @@ _WIDTH = 79
 
 
 @contextmanager
-def shown(total: int, unit: str = "cells") -> Iterator[Progress]:
+def shown(unit: str = "cells") -> Iterator[Progress]:
     """Show progress while this is open; the function that it yields takes the numbers done and in all, 0 if unknown.
 
     A terminal and a notebook show a bar in a line that is rewritten.
@@ -69,7 +69,7 @@ def reporting(progress: bool | Progress, cells: int, *studies: Study, what: str 
             print(note, file=sys.stderr)
         for study in studies:
             warm_up(study)
-        with shown(cells, what) as report:
+        with shown(what) as report:
             yield report
     else:
         yield progress

@@ -126,10 +126,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int], spans: int
         (count, blocks, WATCHED),
         (count, size, LONG),
     )
-    # In one piece, for which there are larger pages: a sweep of such drivelines takes 3 % less time.
-    ends = np.cumsum([math.prod((*many, *shape)) for shape in shapes])
-    pieces = np.split(aligned(ends[-1], 1).ravel(), ends[:-1])
-    floats = [piece.reshape(*many, *shape) for piece, shape in zip(pieces, shapes, strict=True)]
+    floats = [aligned(math.prod((*many, *shape)), 1).reshape(*many, *shape) for shape in shapes]
     tables = Flows._make([*floats, *np.zeros((2, *many), np.int64)])
     # before anything else: it is by these that drivelines differ in more than numbers, if they do
     scaled = [*map(_scale, chains)]
@@ -175,12 +172,10 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, scaled: _Scal
     tables.steady[:] = alike(~times(seen, back[..., scaled.drift]).any(axis=(-2, -1)), 0)
 
     modes = _modes(scaled)
-    if modes is None:
-        block = scaled.generator
-    else:
+    modal, block = modes is not None, scaled.generator
+    if modes is not None:
         vectors, inverse, block = modes
         into, back = inverse @ into, back @ vectors
-    modal = modes is not None
     unseen = alike(~np.any(block, axis=-2) & ~np.any(times(seen, back), axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
@@ -311,21 +306,26 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     count, size, _ = generator.shape
     stays, moved = np.flatnonzero(~drift), np.flatnonzero(drift)
     half = size // 2
-    modes, frequency = np.flatnonzero(~drift[half:]), generator[:, :half, half:].diagonal(axis1=-2, axis2=-1)
-    eigenvalues, shapes = np.empty((count, modes.size), complex), np.empty((count, half, modes.size), complex)
+    frequency = generator[:, :half, half:].diagonal(axis1=-2, axis2=-1)
     damping, stiffness = -generator[:, half:, half:], -generator[:, half:, :half] * frequency[:, None]
+    modes, eigenvalues = _first_guesses(stiffness, damping, np.flatnonzero(~drift[half:]))
+    shapes = np.empty((count, half, modes.size), complex)
     _ring(stiffness, damping, modes, eigenvalues, shapes, np.empty((half, half), complex))
     vectors = np.concatenate([frequency[..., None] * shapes, eigenvalues[:, None] * shapes], axis=1)
-    if not alike(np.isfinite(eigenvalues).all(axis=-1), 0):
-        own, own_vectors, kept = eigenvalues, vectors, generator.take(stays, axis=-1)
-        eigenvalues, right = (array.astype(complex) for array in np.linalg.eig(kept.take(stays, axis=-2)))
-        vectors = np.zeros((count, size, stays.size), complex)
-        vectors[:, stays] = right
-        vectors[:, moved] = kept.take(moved, axis=-2) @ right / eigenvalues[:, None]
+    others = np.flatnonzero(np.isnan(eigenvalues).any(axis=-1))
+    if others.size:
+        own, own_vectors, more = eigenvalues[others], vectors[others], (0, stays.size - modes.size)
+        eigenvalues = np.pad(eigenvalues, ((0, 0), more), constant_values=-1j)  # what is filled up comes last
+        vectors = np.pad(vectors, ((0, 0), (0, 0), more), constant_values=1.0)
+        kept = generator[others].take(stays, axis=-1)
+        found, right = (array.astype(complex) for array in np.linalg.eig(kept.take(stays, axis=-2)))
+        of_all = np.zeros((others.size, size, stays.size), complex)
+        of_all[:, stays], of_all[:, moved] = right, kept.take(moved, axis=-2) @ right / found[:, None]
         for n in np.flatnonzero(drift[modes]):  # a rate of rolling is tiny, and LAPACK's rounding that of the largest
             known = np.flatnonzero(np.isfinite(own[:, n]))
-            same = np.abs(eigenvalues[known] - own[known, n, None]).argmin(axis=-1)
-            eigenvalues[known, same], vectors[known, :, same] = own[known, n], own_vectors[known, :, n]
+            same = np.abs(found[known] - own[known, n, None]).argmin(axis=-1)
+            found[known, same], of_all[known, :, same] = own[known, n], own_vectors[known, :, n]
+        eigenvalues[others], vectors[others] = found, of_all
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     omega = eigenvalues.imag
     order = np.lexsort((-np.abs(eigenvalues), omega == 0.0, omega < 0.0))  # the conjugates are last
@@ -429,8 +429,9 @@ def _expand(generator: FloatArray, modal: IntArray, span: FloatArray, series: Fl
         for n in range(TERMS):
             squares = 0.0
             for c in range(size):
-                total = terms[c, n]
-                for r in range(size if n > 0 else 0):
+                total, pair = terms[c, n], c - c % ROW + c % PAIRS
+                rows = range(0, size) if modal[at[:2]] == 0 else range(pair, pair + PAIRS + 1, PAIRS)
+                for r in rows if n > 0 else range(0):
                     total += terms[r, n - 1] * rates[r, c]
                 total /= max(n, 1)
                 terms[c, n], squares = total, squares + total * total
@@ -447,19 +448,32 @@ def _expand(generator: FloatArray, modal: IntArray, span: FloatArray, series: Fl
             unit *= (n + 1) / span[at[:2]][0]
 
 
+def _first_guesses(stiffness: FloatArray, damping: FloatArray, modes: IntArray) -> tuple[IntArray, Any]:
+    """The modes that eigenvalues are of, (k,), and what these would be if no damper coupled the modes, (D, k).
+
+    Those of which any is overdamped come twice, where they swing with the conjugate.
+    """
+    half, squared = (array.diagonal(axis1=-2, axis2=-1)[:, modes] for array in (0.5 * damping, stiffness))
+    over = half * half - squared
+    swing = np.sqrt(over.astype(complex))
+    guesses, twice = np.where(squared > 0.0, swing - half, -2.0 * half), ((over > 0.0) & (squared > 0.0)).any(axis=0)
+    return np.append(modes, modes[twice]), np.concatenate([guesses, (-swing - half)[:, twice]], axis=-1)
+
+
 @compiled
 def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: Any, shapes: Any, scratch: Any) -> None:
-    """Eigenpairs of chains in energy coordinates, by Newton's method from the modes without damping.
+    """Eigenpairs of chains in energy coordinates, by Newton's method from the modes without dampers between them.
 
     Of P(λ) x = (λ² + λ D + K) x = 0, where x is 1 in a mode's own displacement, all equations but the mode's own give
-    x; that one, s(λ) = 0, has the derivative xᵀ P'(λ) x. Eigenvalues that do not converge, or to each other, are NaN:
-    they are of modes that do not swing, or that dampers couple closely. LAPACK takes five times as long.
+    x; that one, s(λ) = 0, has the derivative xᵀ P'(λ) x. P is symmetric: of it is read, and eliminated, what is right
+    of the diagonal, the mode's own last. Eigenvalues that do not converge, or to each other, are NaN: they are of modes
+    that begin to swing, or cease to, or that dampers couple closely. LAPACK takes five times as long.
 
     stiffness, damping : (D, m, m) float64
     modes : (k,) int64
-        Those of the m modes whose velocity is no drift.
+        The mode that each eigenvalue is of.
     rates : (D, k) complex128
-        Output, λ.
+        First guesses; output, λ.
     shapes : (D, m, k) complex128
         Output, x.
     scratch : (m, m) complex128
@@ -468,35 +482,36 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
     for driveline in range(len(rates)):
         k_of, d_of = stiffness[driveline], damping[driveline]
         for n, mode in enumerate(modes):
-            half, squared = 0.5 * d_of[mode, mode], k_of[mode, mode]
-            swings = squared > 0.0
-            rate = complex(-half, np.sqrt(squared - half * half)) if swings else complex(-2.0 * half)
-            x, sound = shapes[driveline, :, n], False
+            rate, x, sound = rates[driveline, n], shapes[driveline, :, n], False
+            swings = rate.imag != 0.0
             for _ in range(_MOST_STEPS):
-                for r in range(m):
-                    for c in range(m):
-                        scratch[r, c] = k_of[r, c] + rate * d_of[r, c]
-                    scratch[r, r] += rate * rate
-                for p in range(m):
-                    for r in range(m):
-                        if p != mode and r != p:
-                            share = _over(scratch[r, p], scratch[p, p])
-                            for c in range(m):
-                                scratch[r, c] -= share * scratch[p, c]
-                slope = 0.0j
-                for r in range(m):
-                    x[r] = -_over(scratch[r, mode], scratch[r, r]) if r != mode else 1.0
-                for r in range(m):
-                    slope += 2.0 * rate * x[r] * x[r]
-                    for c in range(m):
-                        slope += x[r] * d_of[r, c] * x[c]
-                step = _over(scratch[mode, mode], slope)
+                for i in range(m):  # its rows and columns are those of the modes 0, 1, …, m - 1, and then the own
+                    r = mode if i == m - 1 else i + (i >= mode)
+                    for j in range(i, m):
+                        c = mode if j == m - 1 else j + (j >= mode)
+                        scratch[i, j] = k_of[r, c] + rate * d_of[r, c]
+                    scratch[i, i] += rate * rate
+                for p in range(m - 1):
+                    scratch[p, p] = _over(1.0 + 0.0j, scratch[p, p])
+                    for i in range(p + 1, m):
+                        share = scratch[p, i] * scratch[p, p]
+                        for j in range(i, m):
+                            scratch[i, j] -= share * scratch[p, j]
+                slope, x[mode] = 0.0j, 1.0
+                for p in range(m - 2, -1, -1):
+                    total = scratch[p, m - 1]
+                    for j in range(p + 1, m - 1):
+                        total += scratch[p, j] * x[j + (j >= mode)]
+                    x[p + (p >= mode)] = -total * scratch[p, p]
+                for r, c in np.ndindex(m, m):
+                    slope += x[r] * (d_of[r, c] + 2.0 * rate * (r == c)) * x[c]
+                step = _over(scratch[m - 1, m - 1], slope)
                 rate -= step
                 sound = abs(step) <= _CONVERGED * abs(rate)
                 if sound:
                     break
             # 0 is a displacement's own, whatever damps its velocity
-            sound &= (rate.imag > _ROUNDING * abs(rate)) == swings and rate != 0.0
+            sound &= (abs(rate.imag) > _ROUNDING * abs(rate)) == swings and rate != 0.0
             for other in rates[driveline, :n]:
                 sound &= abs(rate - other) > _ROUNDING * abs(rate)
             rates[driveline, n] = rate if sound else np.nan
