@@ -126,7 +126,9 @@ def boundaries(
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
         events = events_between(point_runs.runner, position, values_at(below), values_at(above))
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
-    rings = [ring for region in regions for ring in region]
+    rings, places = [ring for region in regions for ring in region], lines.unresolved
+    cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
+    _, first = np.unique(cells, axis=0, return_index=True)  # of each cell with any
     return Boundaries(
         lash=results.lashes[position] if results.lashes else "",
         axes=part.axes,
@@ -143,7 +145,7 @@ def boundaries(
         region_rings=np.array([len(region) for region in regions], np.int32),
         region_label=np.array([region[0].label for region in regions], np.int16),
         region_area=np.array([sum(ring.area for ring in region) for region in regions]),
-        unresolved=values_at(_one_of_each_cell(lines.unresolved, across, upward)),
+        unresolved=values_at(places[first]),
     )
 
 
@@ -175,13 +177,6 @@ def _values(axis: ResultAxis, shares: Floats) -> Floats:
     low, high = axis.values.min(), axis.values.max()
     inner = low * (high / low) ** shares if axis.is_geometric else low + shares * (high - low)
     return np.asarray(np.where(shares == 1.0, high, np.clip(inner, low, high)))
-
-
-def _one_of_each_cell(places: Floats, across: Floats, upward: Floats) -> Floats:
-    """The first of the places (n, 2) within each cell of a map, in the order of the cells."""
-    cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
-    _, first = np.unique(cells, axis=0, return_index=True)
-    return places[first]
 
 
 def events_between(runner: Runner, lash: int, one: Floats, other: Floats) -> Codes:

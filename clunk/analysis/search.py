@@ -170,7 +170,9 @@ def narrow(
         tolerance = np.broadcast_to(tolerance, wide.shape)[rest]
         if not len(ends):
             break
-        place = _expected(ends)
+        first, last = ends["measure"].T
+        with np.errstate(invalid="ignore", divide="ignore"):  # where the measure, linear between the ends, is zero
+            place = np.where(first * last <= 0.0, low - first * width / (last - first), np.nan)
         off = np.maximum(_BENT / span * width**2, _BESIDE * tolerance)
         halved = is_slow | np.isnan(place)
         if guess is not None and guesses.any():
@@ -200,14 +202,6 @@ def narrow(
     ends = np.concatenate(narrowed)
     low, high = ends[np.lexsort((ends["value"][:, 0], ends["cell"][:, 0]))].T
     return low, high
-
-
-def _expected(ends: Points) -> Floats:
-    """Value at which the measure, linear between the ends of a bracket, is zero, (n,); NaN where it has one sign."""
-    (low, high), (first, last) = ends["value"].T, ends["measure"].T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        place = low - first * (high - low) / (last - first)
-        return np.where(first * last <= 0.0, place, np.nan)
 
 
 # --- Runs
