@@ -60,8 +60,7 @@ def _cost_of(runs: Points) -> int:
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:
     """Number of the edge between two nodes, whichever comes first."""
-    keys: Codes = (np.minimum(first, second) << _SHIFT) | np.maximum(first, second)
-    return keys
+    return np.asarray((np.minimum(first, second) << _SHIFT) | np.maximum(first, second))
 
 
 def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
@@ -76,13 +75,11 @@ def _edges(corners: Nodes) -> Codes:
 
 def cross(one: Floats, other: Floats) -> Floats:
     """Cross products of vectors, (..., 2) each."""
-    product: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
-    return product
+    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
 def _length(vectors: Floats) -> Floats:
-    lengths: Floats = np.hypot(vectors[..., 0], vectors[..., 1])
-    return lengths
+    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))
 
 
 class Triangles:
@@ -104,8 +101,7 @@ class Triangles:
     @property
     def outcome(self) -> Codes:
         """Code of each node's label, (nodes,)."""
-        codes: Codes = self.runs["outcome"]
-        return codes
+        return np.asarray(self.runs["outcome"])
 
     def mixed(self, *, only_new: bool = False) -> tuple[Nodes, Nodes]:
         """Triangles of two labels, the corner of the other label first, and triangles of three: (n, 3) nodes each."""
@@ -260,8 +256,7 @@ class Lines:
 
     def bracket(self, keys: Codes) -> Floats:
         """Ends of the brackets of the crossings on edges, (2, n, 2), from each edge's first node on."""
-        ends: Floats = self.brackets[np.searchsorted(self.keys, keys)]
-        return ends.swapaxes(0, 1)
+        return np.asarray(self.brackets[np.searchsorted(self.keys, keys)].swapaxes(0, 1))
 
     def _widths(self) -> Floats:
         return _length(self.brackets[:, 1] - self.brackets[:, 0])
@@ -295,10 +290,9 @@ class Lines:
     def _mixed_edges(self, *, only_new: bool = False) -> Codes:
         """Keys of the edges whose ends have different labels, ascending."""
         mixed = np.concatenate(self.triangles.mixed(only_new=only_new))
-        keys: Codes = np.unique(_edges(mixed))
+        keys = np.unique(_edges(mixed))
         first, second = ends_of(keys)
-        edges: Codes = keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
-        return edges
+        return np.asarray(keys[self.triangles.outcome[first] != self.triangles.outcome[second]])
 
     def _locate(self) -> None:
         """Locate crossings on new edges, nearly, and cut those with several."""

@@ -118,14 +118,12 @@ def _may_hide(points: Points) -> Bools:
     slope = _STEEPER * np.maximum(slope[:-1], slope[1:])
     hidden[:-1] |= is_dip & (least[1:-1] < slope * width[:-1])
     hidden[1:] |= is_dip & (least[1:-1] < slope * width[1:])
-    suspect: Bools = alike & hidden
-    return suspect
+    return np.asarray(alike & hidden)
 
 
 def _changes(points: Points, parts: Codes) -> Codes:
     """Positions of the points (n,) whose outcome differs from the next one's, where that is in the same part (n,)."""
-    changes: Codes = np.flatnonzero((parts[:-1] == parts[1:]) & (points["outcome"][:-1] != points["outcome"][1:]))
-    return changes
+    return np.flatnonzero((parts[:-1] == parts[1:]) & (points["outcome"][:-1] != points["outcome"][1:]))
 
 
 def narrow(
@@ -264,7 +262,8 @@ class PointRuns:
         points["touches"] = results.touches
         finished = results.status == Status.OK
         words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
-        known = [self._codes.setdefault(self._word(word), len(self._codes)) for word in words.tolist()]
+        words = words.astype({TEXT: str, YES_NO: bool}.get(self.outcome.type, int))
+        known = [self._codes.setdefault(word, len(self._codes)) for word in words.tolist()]
         points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
         points["measure"][finished] = self._measure(results)[finished]
         self.failures.update(map(Status, results.status[~finished].tolist()))
@@ -272,9 +271,6 @@ class PointRuns:
         if self._progress is not None:
             self._progress(self.count, 0)
         return points
-
-    def _word(self, value: str | float) -> Word:
-        return value if isinstance(value, str) else bool(value) if self.outcome.type == YES_NO else int(value)
 
     def _measure(self, results: Results) -> Floats:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
