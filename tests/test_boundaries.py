@@ -196,7 +196,7 @@ def test_any_order_of_axes_has_the_same_network():
     turned = clunk.sweep(study(upward, across), boundaries=True).boundaries
     assert [labels for _, labels in whole.meetings] == [labels for _, labels in turned.meetings]
     for (one, _), (other, _) in zip(whole.meetings, turned.meetings, strict=True):
-        # each is somewhere in a triangle of 5e-8 of the axes, of which the longer one is 5
+        # each lies in a triangle of at most 5e-8 of the axes, of which the longer one spans 5
         assert one == pytest.approx(other[::-1], abs=5e-7)
     assert whole.areas == pytest.approx(turned.areas, abs=2e-5)  # a chord may be off by 1e-4
 

@@ -128,7 +128,7 @@ def boundaries(
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings, places = [ring for region in regions for ring in region], lines.unresolved
     cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
-    _, first = np.unique(cells, axis=0, return_index=True)  # of each cell with any
+    _, first = np.unique(cells, axis=0, return_index=True)  # place in each cell that has any
     return Boundaries(
         lash=results.lashes[position] if results.lashes else "",
         axes=part.axes,

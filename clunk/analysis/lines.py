@@ -36,7 +36,8 @@ _TOUCHES = 10  # that take as long as a run without any
 _CUT, _ON_EDGES = 0.8, 0.95  # of these, with which edges are cut, and crossings located on edges
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
 _NEAR, _OF_EDGE = 1e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
-_AT_ONCE, _DEAR = 256, 2  # edges, and times a run without touches: of more, by the first of which lines are continued
+# More edges, whose runs take longer than so many without touches, are located in parts, see `Lines._parts`.
+_AT_ONCE, _DEAR = 256, 2
 _POINTS, _NEIGHBOURS = 4, 8  # crossings that continue a line, of so many that are the nearest
 _REACH = 15.0  # lengths of an edge, within which these are
 _OFF = 0.15  # of the change by the last of these, that a crossing may be off

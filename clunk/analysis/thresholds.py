@@ -196,7 +196,7 @@ def thresholds(
     lash : str, optional
         Of several lashes, the one whose outcome is meant, by name or number; by default the first.
     workers, progress
-        As `clunk.sweep` takes them; in the place of cells, runs are counted.
+        As `clunk.sweep` takes them; in the place of cells, runs are counted, whose number in all is not known: 0.
 
     Returns
     -------

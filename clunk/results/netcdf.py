@@ -178,13 +178,16 @@ def _create(file: h5py.File, name: str, variable: Variable, dataset: Dataset) ->
 
 
 def _compress(entries: Array, counts: Array, places: int, stored: h5py.Dataset) -> None:
-    """Write chunks, each of some rows and places, as HDF5's own filters would, which use one core."""
+    """Write chunks, each of some rows and places, as HDF5's own filters would, which use one core.
+
+    The last ones reach beyond the rows and the places, and have zeros there.
+    """
     rows, *_, together = (*stored.chunks, 1)[: counts.ndim + 1]
     slabs = np.split(counts, range(rows, len(counts), rows))
     parts = np.split(entries, np.cumsum([slab.sum() for slab in slabs[:-1]], dtype=int))
 
     def compressed(part: Array, slab: Array) -> list[bytes]:
-        whole = np.zeros((rows * counts[0].size, -(-places // together), together), entries.dtype)  # reaches beyond
+        whole = np.zeros((rows * counts[0].size, -(-places // together), together), entries.dtype)
         whole.reshape(len(whole), -1)[: slab.size, :places] = _padded(part, slab.ravel(), places)
         chunks = whole.swapaxes(0, 1).copy().view(np.uint8).reshape(whole.shape[1], -1, entries.itemsize)
         return [zlib.compress(chunk.T.copy().data, _LEVEL) for chunk in chunks]
