@@ -44,6 +44,7 @@ def brief(monkeypatch):
     """A search of fewer runs."""
     monkeypatch.setattr(optimisation, "_EXPLORED", 1 << 12)
     monkeypatch.setattr(optimisation, "_GENERATIONS", 60)
+    monkeypatch.setattr(optimisation, "_STARTS", 2)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,8 @@ def test_the_same_seed_gives_the_same_answer(brief):
     assert optimize(study).parameters == optimize(study).parameters
 
 
-def test_an_interrupted_search_hands_over_the_best_so_far(brief):
+def test_an_interrupted_search_hands_over_the_best_so_far(brief, monkeypatch):
+    monkeypatch.setattr(optimisation, "_STARTS", 4)
     study, interrupted = damped_ramp(), []
 
     def interrupt(done, _most):
@@ -157,7 +159,7 @@ def test_over_axes_the_worst_counts(brief):
 
 
 def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
-    monkeypatch.setattr(optimisation, "_FRONT", 4)
+    monkeypatch.setattr(optimisation, "_FRONT", 3)
     points = front(damped_ramp("load.duration", []), "severity").points
     durations, severities = ([best.quantities[name] for best in points] for name in ("load.duration", "severity"))
     assert len(points) > 2

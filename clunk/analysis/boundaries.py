@@ -4,6 +4,7 @@ Lines are traced (`clunk.analysis.lines`), linked to curves and closed to region
 curve gets its event (`events_between`).
 """
 
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
@@ -36,7 +37,7 @@ from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
 RUNS_OF_BOUNDARIES = "runs along the boundaries"  # of which progress tells
-_AT_ONCE = 16  # pairs of runs whose events are kept at a time: 150 MB if all had as many as there can be
+_AT_ONCE = 64  # pairs of runs whose events are kept at a time: few have more than hundreds
 _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
@@ -117,14 +118,14 @@ def boundaries(
         nodes["outcome"], nodes["measure"] = part.sequence[ascending], part.margin[ascending]
         nodes["touches"] = part.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost)
+        lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost, point_runs.preparing)
         lines.trace()
         paths = paths_of(*lines.segments(), lines.position)
         regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
         paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
         crossings = [[node for node in path.nodes if node >= 0] for path in paths]
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
-        events = events_between(point_runs.runner, position, values_at(below), values_at(above))
+        events = events_between(point_runs.runner, engine, position, values_at(below), values_at(above))
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings, places = [ring for region in regions for ring in region], lines.unresolved
     cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
@@ -179,22 +180,24 @@ def _values(axis: ResultAxis, shares: Floats) -> Floats:
     return np.asarray(np.where(shares == 1.0, high, np.clip(inner, low, high)))
 
 
-def events_between(runner: Runner, lash: int, one: Floats, other: Floats) -> Codes:
+def events_between(runner: Runner, engine: Executor, lash: int, one: Floats, other: Floats) -> Codes:
     """First event that only one run of each pair of points has, which makes their labels differ: (n,) of `EVENTS`.
 
     A touch is a grazing of its flank, another event is where a contact that held ended. With the same events, a contact
     has held for the sticking time in one run only.
 
+    engine : of threads
     lash : position of the one whose labels differ
     one, other : the points, (n, keys of the runner)
     """
-    events = [np.zeros(0, np.int64)]
-    for begin in range(0, len(one), _AT_ONCE):
+
+    def of_part(begin: int) -> Codes:
         points = np.stack([part[begin : begin + _AT_ONCE] for part in (one, other)], axis=1).reshape(-1, one.shape[1])
         records, logs = runner.grid.logged(dict(zip(runner.keys, points.T, strict=True)), len(points))
         pairs = records[:, lash].reshape(-1, 2), logs.reshape(len(points) // 2, 2, -1)
-        events.append(_differences(*pairs, runner.study.solver.end_time, lash))
-    return np.concatenate(events)
+        return _differences(*pairs, runner.study.solver.end_time, lash)
+
+    return np.concatenate([np.zeros(0, np.int64), *engine.map(of_part, range(0, len(one), _AT_ONCE))])
 
 
 def _differences(records: Records, logs: Records, end_time: float, lash: int) -> Codes:

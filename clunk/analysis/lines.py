@@ -1,12 +1,12 @@
 """Tracing the lines between the labels of a map of two axes, by batches of runs.
 
 The cells in which labels differ are cut into triangles. Where the ends of an edge differ, a crossing is located
-(`clunk.analysis.search`), where runs take long on a few edges at first, by which the lines are continued to the others
-(`Crossings`): lines are smooth, and where one is expected two runs locate it. One operation refines what is not told
-well enough, a node on an edge: between two crossings of the same edge; on the far edge of a triangle whose line is
-further from its chord than `CHORD`; and beside the crossings on the long edges of a triangle of three labels, until
-these meet in a triangle as small as `JUNCTION`. All that needs crossings to `_NEAR` only. Those that there are in the
-end are narrowed to the tolerance with the runs that are left, so that what lies where comes before its digits.
+(`clunk.analysis.search`), if it can be by continuing lines that are known (`Crossings`): they are smooth, and where one
+is expected two runs locate it. One operation refines what is not told well enough, a node on an edge: between two
+crossings of the same edge; on the far edge of a triangle whose line is further from its chord than `CHORD`; and beside
+the crossings on the long edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
+All that needs crossings to `_NEAR` only. Those that there are in the end are narrowed to the tolerance with the runs
+that are left, so that what lies where comes before its digits.
 
 It ends because it takes `_MOST_ROUNDS` rounds at most, and nodes are added only with the first part of the runs that
 there are (`most_runs`). Each round takes all edges and triangles that wait, so that where labels change on all scales
@@ -28,16 +28,14 @@ JUNCTION = 5e-8  # of the map, a triangle in which three labels meet
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
 _MOST_ROUNDS = 128
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
-_MOST_CROSSINGS = 8  # on an edge, that are told apart
+_MOST_CROSSINGS = 4  # on an edge, that are told apart
 _LONG = 0.5  # of a triangle's longest edge
 _BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
-_RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 10, 100_000
+_RUNS_PER_CELL, _ON_ANY_MAP = 8, 5_000_000  # the latter over what a run costs
 _TOUCHES = 10  # that take as long as a run without any
-_CUT, _ON_EDGES = 0.8, 0.95  # of these, with which edges are cut, and crossings located on edges
+_CUT, _ON_EDGES = 0.85, 0.95  # of these, with which edges are cut, and crossings located on edges
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
-_NEAR, _OF_EDGE = 1e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
-# More edges, whose runs take longer than so many without touches, are located in parts, see `Lines._parts`.
-_AT_ONCE, _DEAR = 256, 2
+_NEAR, _OF_EDGE = 7e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
 _POINTS, _NEIGHBOURS = 4, 8  # crossings that continue a line, of so many that are the nearest
 _REACH = 15.0  # lengths of an edge, within which these are
 _OFF = 0.15  # of the change by the last of these, that a crossing may be off
@@ -45,13 +43,13 @@ _OTHERS = 10.0  # maps: distance between crossings of other labels
 _SHIFT = 32  # bits of a node's number in an edge's key
 
 
-def most_runs(cells: int, cost: int = 1) -> int:
+def most_runs(cells: int, cost: int) -> int:
     """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches.
 
     cells : of the map, and one more for each `_TOUCHES` touches of their runs
     cost : see `PointRuns`
     """
-    return _RUNS_OF_ANY_MAP // cost + _RUNS_PER_CELL * cells
+    return _ON_ANY_MAP // cost + _RUNS_PER_CELL * cells
 
 
 def _cost_of(runs: Points) -> int:
@@ -192,16 +190,17 @@ class Lines:
 
     triangles : Triangles
     run : runs points (n, 2); returns (n,) POINT
-    cost : see `PointRuns`
+    cost, preparing : see `PointRuns`
     keys, brackets, runs : (n,) keys of edges with a crossing, ascending, and of each the two ends of its bracket
         (n, 2, 2), from the first node on, and POINT there (n, 2)
     met, met_labels : (m, 2) triple points, and the codes of the labels that meet there (m, 3)
     unresolved : (n, 2) places where lines are not located
     """
 
-    def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int = 1) -> None:
+    def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int, preparing: int) -> None:
         self.triangles, self._run_points = triangles, run
         self._cost, self._most_runs = cost, most_runs(_cost_of(triangles.runs), cost)
+        self._preparing = preparing
         self._spent, self._rounds = 0, 0
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._cuts: list[tuple[Codes, Floats, Points]] = []
@@ -239,15 +238,8 @@ class Lines:
 
     def _run(self, places: Floats) -> Points:
         runs = self._run_points(places)
-        self._spent += _cost_of(runs)
+        self._spent += _cost_of(runs) + self._preparing * runs.size
         return runs
-
-    def _parts(self, runs: Points) -> list[Codes]:
-        """Positions of edges in parts, from runs on them (n, 2): first a few, by which lines are continued."""
-        at = np.arange(len(runs))
-        if at.size <= _AT_ONCE or self._cost * _cost_of(runs) <= _DEAR * runs.size:
-            return [at] if at.size else []
-        return [at[::9], np.delete(at[::3], np.s_[::3]), np.delete(at, np.s_[::3])]
 
     def _may_run(self, share: float = 1.0) -> bool:
         return self._spent < share * self._most_runs
@@ -299,31 +291,29 @@ class Lines:
         """Locate crossings on new edges, nearly, and cut those with several."""
         keys = self._mixed_edges(only_new=True)
         keys = keys[~np.isin(keys, self.keys)]
+        if not keys.size:
+            return
         nodes = np.stack(ends_of(keys), axis=1)
-        new = len(self.triangles.runs)
-        for part in self._parts(self.triangles.runs[nodes]):
-            brackets, runs = self.triangles.positions[nodes[part]], self.triangles.runs[nodes[part]]
-            lines, ends, runs = self._crossings(keys[part], brackets, runs, _NEAR)
-            edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
-            single, several = counts == 1, counts > 1
-            self._keep(keys[part][edges[single]], ends[begins[single]], runs[begins[single]])
-            left, middle = keys[part][edges[several]], (begins + counts // 2 - 1)[several]
-            begin, rest = ends_of(left)
-            added = new + np.arange(left.size)
-            new += left.size
-            self._cuts.append((left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle, 1]))
-            is_first, is_last = counts[several] < 4, counts[several] == 2
-            self._keep(keys_of(begin, added)[is_first], ends[middle[is_first]], runs[middle[is_first]])
-            self._keep(keys_of(rest, added)[is_last], ends[middle[is_last] + 1, ::-1], runs[middle[is_last] + 1, ::-1])
+        brackets, runs = self.triangles.positions[nodes], self.triangles.runs[nodes]
+        lines, ends, runs = self._crossings(keys, brackets, runs, _NEAR)
+        edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
+        single, several = counts == 1, counts > 1
+        self._keep(keys[edges[single]], ends[begins[single]], runs[begins[single]])
+        left, middle = keys[edges[several]], (begins + counts // 2 - 1)[several]
+        begin, rest = ends_of(left)
+        added = len(self.triangles.runs) + np.arange(left.size)
+        self._cuts.append((left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle, 1]))
+        is_first, is_last = counts[several] < 4, counts[several] == 2
+        self._keep(keys_of(begin, added)[is_first], ends[middle[is_first]], runs[middle[is_first]])
+        self._keep(keys_of(rest, added)[is_last], ends[middle[is_last] + 1, ::-1], runs[middle[is_last] + 1, ::-1])
 
     def _sharpen(self) -> None:
         """Narrow the brackets of the crossings that there are in the end."""
         width = self._widths()
         at = np.flatnonzero(np.isin(self.keys, self._mixed_edges()) & (width > TOLERANCE) & (width < 2.0 * _NEAR))
-        for part in self._parts(self.runs[at]):
-            rows = at[part]
-            _, self.brackets[rows], self.runs[rows] = self._crossings(
-                self.keys[rows], self.brackets[rows], self.runs[rows], TOLERANCE
+        if at.size:
+            _, self.brackets[at], self.runs[at] = self._crossings(
+                self.keys[at], self.brackets[at], self.runs[at], TOLERANCE
             )
 
     def _crossings(self, keys: Codes, brackets: Floats, runs: Points, tolerance: float) -> tuple[Codes, Floats, Points]:

@@ -207,7 +207,7 @@ def narrow(
 
 Word = str | bool | int  # an outcome: a label, whether something holds, or a count
 
-_STEPS = 20_000  # of rk4 in a run that counts as one: 2 s at the default step
+_STEPS = 1_000  # of rk4 that take as long as a unit of `PointRuns.cost`
 
 
 class PointRuns:
@@ -241,10 +241,15 @@ class PointRuns:
 
     @property
     def cost(self) -> int:
-        """How many runs of one common driveline, by exact or in `_STEPS` steps of rk4, take as long as one of these."""
-        study, structural = self.runner.study, self.runner.grid.structural
+        """How long a run takes, beside those of other studies: 23 without frictions, stages or other lashes."""
+        study = self.runner.study
         steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
-        return max(1, round(steps / _STEPS), count_of_regimes(study) // (2 if structural else 24))
+        return max(round(steps / _STEPS), 20 + count_of_regimes(study))
+
+    @property
+    def preparing(self) -> int:
+        """How many runs without touches take as long as preparing a driveline, where each run has its own."""
+        return bool(self.runner.grid.structural) * len(self.runner.study.driveline.inertias) ** 2 // 3
 
     def __call__(self, values: Floats) -> Points:
         """Run points, (n, parameters), in their units."""
