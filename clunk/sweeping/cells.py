@@ -6,7 +6,9 @@ a regime map its CELL and its impacts, of a tolerance map its TOLERANCE_CELL and
 
 from __future__ import annotations
 
+import math
 import re
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -104,7 +106,7 @@ class Grid:
     layout : of the tiles
     tile_cells : the most cells of a tile
     few_cells : so few, if any, that a signal can wait for them
-    pace : s a cell, once it is known, of those that were run first
+    pace : of the tile that took least for each of its cells  [s]
     structural : the parameters that differ between the cells and with which the system does
     """
 
@@ -120,7 +122,7 @@ class Grid:
         solver = study.solver
         is_slow = solver.method == "rk4" and solver.end_time > _FEW_STEPS * solver.step
         self.few_cells = 0 if is_slow or self._is_large() else min(_FEW, self.tile_cells)
-        self.pace: list[float] = []  # one number, or none
+        self.pace = [math.inf]  # one number, the same for all designs
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
 
     def __getstate__(self) -> dict[str, Any]:
@@ -187,7 +189,10 @@ class Grid:
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
-        return self.run_at(cells, self.design.columns(cells), stop)
+        began = time.perf_counter()
+        tile = self.run_at(cells, self.design.columns(cells), stop)
+        self.pace[0] = min(self.pace[0], (time.perf_counter() - began) / max(cells.size, 1))
+        return tile
 
     def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:
         """Run cells with these values of the design's parameters, whatever the design's are."""

@@ -9,9 +9,9 @@ An engine may have two methods besides: `processors()`, and `explained(error)`, 
 the user.
 """
 
+import math
 import signal
 import threading
-import time
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, nullcontext
@@ -46,14 +46,8 @@ def run_tiles(
     """
     stop, waiting = np.zeros(1, np.uint8), grid.ordered(cells)
     if grid.few_cells and (engine is None or isinstance(engine, Threads)):
-        if not grid.pace:
-            began = time.perf_counter()
-            few, waiting = np.split(waiting, [grid.few_cells])
-            tile = grid.run(few, stop)
-            grid.pace.append((time.perf_counter() - began) / max(few.size, 1))
-            yield tile
-        while waiting.size and waiting.size * grid.pace[0] < _MOMENT:
-            few, waiting = np.split(waiting, [grid.tile_cells])
+        while waiting.size and not _MOMENT <= waiting.size * grid.pace[0] < math.inf:
+            few, waiting = np.split(waiting, [grid.few_cells if grid.pace[0] == math.inf else grid.tile_cells])
             yield grid.run(few, stop)
         if not waiting.size:
             return
