@@ -27,6 +27,6 @@ def alike(patterns: Any, dimensions: int = 1) -> npt.NDArray[Any]:
     if patterns.ndim == dimensions:
         return np.asarray(patterns)
     if (patterns != patterns[:1]).any():
-        _, part_of = np.unique(patterns.reshape(len(patterns), -1), axis=0, return_inverse=True)
-        raise UnlikeError([np.flatnonzero(part_of.ravel() == part) for part in range(part_of.max() + 1)])
+        _, group_of = np.unique(patterns.reshape(len(patterns), -1), axis=0, return_inverse=True)
+        raise UnlikeError([np.flatnonzero(group_of.ravel() == group) for group in range(group_of.max() + 1)])
     return np.asarray(patterns[0])

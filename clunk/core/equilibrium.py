@@ -10,7 +10,7 @@ from clunk.core.arrays import FloatArray
 _ROUNDING = 1e-11  # of a torque: a load that does not reach the lash, or a gap that does not load it, leaves as much
 
 
-def preload(
+def steady_motion(
     stiffness: FloatArray,
     torques: FloatArray,
     lashes: FloatArray,

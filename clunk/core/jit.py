@@ -96,7 +96,9 @@ def _part(forceinline: bool) -> Callable[[Function], Function]:
 
     def decorate(function: Function) -> Function:
         wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False, "forceinline": forceinline}
-        return cast(Function, partial.part(_uncached(pipeline_class=partial.PartCompiler, **wrappers)(function)))
+        return cast(
+            Function, partial.with_callers(_uncached(pipeline_class=partial.PartCompiler, **wrappers)(function))
+        )
 
     return decorate
 

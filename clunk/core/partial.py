@@ -122,7 +122,7 @@ class PartCompiler(CompilerBase):
         return [passes]
 
 
-def part(dispatcher: Any) -> Any:
+def with_callers(dispatcher: Any) -> Any:
     """Make a function of `numba.njit` with `PartCompiler` one that is compiled with its callers alone."""
     dispatcher.__class__ = _Part
     return dispatcher

@@ -18,7 +18,7 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray, IntArray, Positions, Records
 from clunk.core.batches import alike
-from clunk.core.equilibrium import preload
+from clunk.core.equilibrium import steady_motion
 from clunk.core.jit import inlined_part, part
 from clunk.core.reductions import chain, locked
 from clunk.core.status import Status
@@ -93,7 +93,7 @@ class System(NamedTuple):
     friction_torques: FloatArray  # (M,)  the most that each holds  [N m]
     excess: IntArray  # (K,)  whether a friction sticks in a flow that the others hold without it
     # before the load step
-    preload: FloatArray  # (S, N, I)  steady motion in contact at the load step, in each combination of stages, by u
+    steady_motion: FloatArray  # (S, N, I)  in contact at the load step, in each combination of stages, by u
     contact_torque: FloatArray  # (S, L, I)  the torque across each lash in it, signed like q
     # (2n, 0 to 2)  what no torque depends on: the angle by which the driveline rolls, if it does so, and, without drag,
     # its speed; the first inertia that rolls has a share of 1 in it
@@ -121,7 +121,7 @@ VARYING = (
     "locking_speed",
     "frictions",
     "friction_torques",
-    "preload",
+    "steady_motion",
     "contact_torque",
     "drift",
     "end_time",
@@ -386,7 +386,7 @@ def build_system(
             steady[..., k, :, :] = np.nan  # no equilibrium, or many
             continue
         stiffness = chains[every[k << count]][1]  # with all lashes open
-        angles, carried[..., k, :, :] = preload(stiffness, torques, twists, gaps, momentum, compliance)
+        angles, carried[..., k, :, :] = steady_motion(stiffness, torques, twists, gaps, momentum, compliance)
         steady[..., k, :n, :], steady[..., k, speeds, TORQUE] = angles, rigid.speeds
     status = Status.OK if motions <= 1 and not rubs else Status.NO_EQUILIBRIUM
     rolling = np.broadcast_to(rigid.shape, (*batch, n, motions))[..., : int(status == Status.OK)]
@@ -422,7 +422,7 @@ def build_system(
         frictions=joints[..., count:, :],
         friction_torques=np.array([each.most for each in frictions]).reshape(len(frictions), *batch).T.copy(),
         excess=excess,
-        preload=steady,
+        steady_motion=steady,
         contact_torque=carried,
         drift=drift,
         first_rolling=int(alike(rolling.any(axis=-1)).argmax()) if rolling.size else -1,

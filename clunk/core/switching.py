@@ -52,7 +52,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         Output, whatever the status.
     """
     system = refer(system)
-    lashes, stages = system.lash_count, system.preload.shape[0]
+    lashes, stages = system.lash_count, system.steady_motion.shape[0]
     status = _NO_INITIAL_FLANK if stages == 1 else _NO_EQUILIBRIUM
     for regime in range(stages * system.regime_strides[lashes]):
         stage, closed, presses = regime // system.regime_strides[lashes], True, True
@@ -63,7 +63,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         if not closed or (not presses and status == _NO_INITIAL_FLANK):
             continue
         for k in range(x.size):
-            x[k] = _of_inputs(system, regime, system.preload[stage, k], inputs)
+            x[k] = _of_inputs(system, regime, system.steady_motion[stage, k], inputs)
         is_in_stage, is_beside_loose = _is_in_stage(system, regime, x)
         if not is_in_stage:
             continue
@@ -105,7 +105,7 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
             is_at_breakpoint = abs(value) <= _WITHIN * scale
             if not (is_at_breakpoint or value >= 0.0):  # NaN where no stiffness tells the twist
                 return False, False
-            behind = system.preload[guard.successor // system.regime_strides[system.lash_count], 0, TORQUE]
+            behind = system.steady_motion[guard.successor // system.regime_strides[system.lash_count], 0, TORQUE]
             is_beside_loose = is_beside_loose or (is_at_breakpoint and np.isnan(behind))
     return True, is_beside_loose
 

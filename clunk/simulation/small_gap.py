@@ -122,14 +122,14 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     rigid = study.model_copy(update={"lash": study.lashes[0].model_copy(update={"contact": contact})})
     system = build(rigid, replace(Driveline.from_study(rigid), shaft_friction=np.zeros(len(study.driveline.shafts))))
     carried = system.contact_torque[0, 0, TORQUE]
-    if carried == 0.0 or len(system.preload) > 1:
+    if carried == 0.0 or len(system.steady_motion) > 1:
         return np.empty(0)
     size = 2 * system.inertias  # without the load's wave
     expand, pick, _ = _without_drift(constrained(system.lashes[:, system.inertias : size], [1]), system.drift)
     rates, right = np.linalg.eig(pick @ system.rates[1, :size, :size] @ expand)
     if rates.size == 0 or np.linalg.cond(right) > 1e10:
         return np.empty(0)
-    start = np.linalg.solve(right, pick @ system.preload[0, :size, TORQUE])
+    start = np.linalg.solve(right, pick @ system.steady_motion[0, :size, TORQUE])
     # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
     amplitudes = (system.functionals[1, FORCE, :size] @ expand @ right) * start / carried
     felt = np.abs(amplitudes) > 1e-12

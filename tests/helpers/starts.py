@@ -38,7 +38,7 @@ def regime_of(system, x, inputs):
         values = guards["sign"] * outputs[row["flow"], guards["functional"]]
         return np.all((values + system.offsets[regime, : row["guards"]] @ inputs >= 0.0) | ~of_element(guards))
 
-    stages = range(0, len(system.preload) * strides[lashes], strides[lashes])
+    stages = range(0, len(system.steady_motion) * strides[lashes], strides[lashes])
     regime = next(k for k in stages if fits(k, lambda guards: (guards["lash"] < 0) & (guards["successor"] >= 0)))
     rates, rounding = system.frictions @ x, 1e-11 * np.abs(x[n : 2 * n]).max()
     slips = np.select([rates > rounding, rates < -rounding], [SLIPS_FORWARD, SLIPS_BACKWARD], STICKS)

@@ -71,7 +71,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     time_left = field(space, rows.LIMIT) - elapsed
 
     moving.measure(pool.work, size_of(space), space.amplitudes)
-    _see(space, regime, _START)
+    _evaluate(space, regime, _START)
     kinks, at_most = 0, field(space, rows.TRY)
     settled = _stays(space, regime) & present if flows.steady[0, flow] != 0 else 0
     if space.loads.shape[1] > 1:
@@ -140,7 +140,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
 
 @inlined_part
-def _see(space: Workspace, regime: int, row: int) -> None:
+def _evaluate(space: Workspace, regime: int, row: int) -> None:
     """Write the functionals, and take the accelerations into their windows, at the step's end or its beginning.
 
     A guard is zero to the last bit at the beginning where it is known to be. What bounds derivatives from there on does
@@ -148,7 +148,7 @@ def _see(space: Workspace, regime: int, row: int) -> None:
 
     row : _END or _START
     """
-    system, seen, entered = space.system, _seen(space, regime), space.system.regimes[regime]
+    system, seen, entered = space.system, _functionals_seen(space, regime), space.system.regimes[regime]
     for n in range(seen):
         f = _functional(space, regime, n)
         if n < entered.watched and system.guards[regime, n].first_alike < n:
@@ -171,7 +171,7 @@ def _see(space: Workspace, regime: int, row: int) -> None:
 
 
 @inlined_part
-def _seen(space: Workspace, regime: int) -> int:
+def _functionals_seen(space: Workspace, regime: int) -> int:
     """How many functionals a step sees; the last ones are the accelerations."""
     return int(space.system.regimes[regime].watched + space.system.lash_count)
 
@@ -237,7 +237,7 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 def _stays(space: Workspace, regime: int) -> int:
     """Where guards will stay positive for ever, without a miss that counts, and accelerations within their windows."""
     stays, watched = -1, space.system.regimes[regime].watched
-    for n in range(_seen(space, regime)):
+    for n in range(_functionals_seen(space, regime)):
         if stays == 0:
             break
         origin = _origin(space, space.system.regimes[regime].flow, _functional(space, regime, n))
@@ -387,8 +387,8 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
     """
     seen, entered = space.seen, space.system.regimes[regime]
     shortest, failed, close = shortest_span(space, entered.flow), 0, 0
-    _see(space, regime, _END)
-    for n in range(_seen(space, regime)):
+    _evaluate(space, regime, _END)
+    for n in range(_functionals_seen(space, regime)):
         row = n * OF_SEEN
         start, end = load_curve(seen, row + _START), load_curve(seen, row + _END)
         least, greatest = curves.between(start, end, h)
@@ -407,7 +407,7 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
     slope at the beginning are passed over: there, rounding would show one.
     """
     elapsed, watched, turns = field(space, rows.ELAPSED), space.system.regimes[regime].watched, 0
-    for n in range(_seen(space, regime)):
+    for n in range(_functionals_seen(space, regime)):
         row = n * OF_SEEN
         start, end = load_curve(space.seen, row + _START), load_curve(space.seen, row + _END)
         least, greatest = vectors.load(space.seen, row + _LEAST), vectors.load(space.seen, row + _GREATEST)
