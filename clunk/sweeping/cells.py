@@ -106,7 +106,7 @@ class Grid:
     layout : of the tiles
     tile_cells : the most cells of a tile
     few_cells : so few, if any, that a signal can wait for them
-    pace : of the tile that took least for each of its cells  [s]
+    pace : of the latest tile that was not small, or of a quicker one, for each of its cells  [s]
     structural : the parameters that differ between the cells and with which the system does
     """
 
@@ -191,7 +191,8 @@ class Grid:
         """Run cells; the tile has those that were done before `stop` was set."""
         began = time.perf_counter()
         tile = self.run_at(cells, self.design.columns(cells), stop)
-        self.pace[0] = min(self.pace[0], (time.perf_counter() - began) / max(cells.size, 1))
+        pace = (time.perf_counter() - began) / max(cells.size, 1)
+        self.pace[0] = pace if cells.size > _FEW else min(pace, self.pace[0])
         return tile
 
     def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:
