@@ -10,6 +10,7 @@ from helpers.reference import Plant
 
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.simulation import driveline
+from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
@@ -147,3 +148,49 @@ def test_without_a_gap_separation_passes_straight_to_the_other_flank():
     assert np.all(kinds[separations + 1] == TOUCH)
     assert np.all(times[separations + 1] == times[separations])
     assert np.all(run.events["speed"][separations + 1] == 0.0)
+
+
+WITHOUT_A_GAP_BEHIND = """
+[driveline]
+inertias = [0.024, 0.0193, 0.0088, 0.01]
+[[driveline.shafts]]
+between = [1, 2]
+stiffness = 31.5
+damping = 0.05
+[[driveline.shafts]]
+between = [4, "ground"]
+stiffness = 47.4
+damping = 0.05
+[[lash]]
+between = [2, 3]
+backlash_deg = 5.46
+radius = 0.08
+contact = {{model = "restitution", restitution = {0}}}
+[[lash]]
+between = [3, 4]
+backlash_deg = {1}
+radius = 0.08
+contact = {{model = "restitution", restitution = {0}}}
+[load]
+initial_torque = 5.39
+final_torque = -0.93
+[solver]
+method = "{2}"
+end_time = 0.4
+"""
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_flanks_without_a_gap_change_sides_and_touch_no_other_lash(restitution, method):
+    """The others are at their flanks where they touch; V is as with the least of gaps, in which they bounce besides."""
+    without, least = (
+        simulate(study_from_text(WITHOUT_A_GAP_BEHIND.format(restitution, gap, method))) for gap in (0.0, 1e-9)
+    )
+    energy = balance(without)
+    assert abs(energy.residual) < 1e-9 * energy.stored_before
+    touches = (without.events["lash"] == 0) & (without.events["kind"] == TOUCH)
+    twists = without.states[touches, 1] - without.states[touches, 2]
+    assert np.abs(twists) == pytest.approx(np.deg2rad(5.46) / 2.0, rel=1e-9)
+    assert without.approach_velocity == pytest.approx(least.approach_velocity, rel=1e-6)
+    assert np.any((without.events["lash"] == 1) & (without.events["kind"] == LOCK))

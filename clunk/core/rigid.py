@@ -188,7 +188,7 @@ def release(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
     successor = free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * system.regime_strides[lash]
     record(at, log, count + 1, 0.0, TOUCH, free, lash, -side)
     record(at, log, count + 2, 0.0, LOCK, successor, lash, -side)
-    return Entry(count + 3, successor, 0, 1)
+    return Entry(count + 3, successor, guard_of(system, successor, row.functional, -row.sign), 1)
 
 
 @part
