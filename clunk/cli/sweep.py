@@ -103,7 +103,7 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
         ((_, numbers),) = traced.boundaries.summary()
         click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
         if traced.boundaries.unresolved_sentence:
-            click.echo(traced.boundaries.unresolved_sentence, err=True)
+            terminal.complain(traced.boundaries.unresolved_sentence)
 
 
 def _report(result: AnyMap, job: Job, as_json: bool) -> int:

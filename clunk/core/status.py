@@ -28,7 +28,7 @@ _SENTENCES = {
     Status.NON_FINITE: "the state became infinite or undefined",
     Status.EVENT_BUFFER_FULL: (
         "more events than solver.max_events allows, or more changes of stage than are followed; "
-        "raise solver.max_events, or shorten solver.end_time"
+        "shorten solver.end_time, or raise solver.max_events, to 100,000 at most"
     ),
     Status.UNSTABLE_STEP: (
         "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode; a load may be faster)"

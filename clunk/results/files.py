@@ -86,6 +86,6 @@ def check(target: Path | None, suffixes: Sequence[str], *, reads: Path | None = 
     if target.suffix.lower() not in suffixes:
         raise ClunkError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
     if reads is not None and target.resolve() == reads.resolve():
-        raise ClunkError(f"{target} is what the command reads; -o must name another file.")
+        raise ClunkError(f"{target} is what the command reads; write to another file.")
     with writing(target), tempfile.TemporaryFile(dir=target.parent):
         pass
