@@ -51,3 +51,12 @@ def test_times_that_decrease_in_one_point_are_refused_though_each_is_allowed():
     runner([[0.1, 0.2], [0.5, 0.6]])
     with pytest.raises(clunk.ConfigError, match="times decrease"):
         runner([[0.5, 0.2]])
+
+
+def test_a_key_that_is_given_twice_is_refused_whatever_its_name():
+    study = clunk.study_from_text('driveline.preset = "boere-2008"')
+    keys = ["lash.backlash_deg", "lash[1].backlash_deg"]
+    with pytest.raises(clunk.ConfigError, match="given twice"):
+        clunk.run_points(study, dict.fromkeys(keys, (2.0, 6.0)))
+    with pytest.raises(clunk.ConfigError, match="given twice"):
+        clunk.Runner(study, keys)

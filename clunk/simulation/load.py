@@ -18,7 +18,8 @@ from clunk.study.study import Study
 
 Numbers = float | Floats
 
-_SHORTEST = 1e-12  # s; a duration or time constant below it counts as 0
+# s; a duration or time constant below it counts as 0: of a slope so steep rounding would move events by more
+_SHORTEST = 1e-9
 
 
 def loads_of(load: Load, count: int, **swept: Numbers) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from clunk.study.document import dotted
 from clunk.study.errors import Problem, report
 from clunk.study.keys import validated, with_tuples
 from clunk.study.models import NOT_OF_A_RUN
-from clunk.study.parameters import drawn_numbers, located, quantity, unswept_value
+from clunk.study.parameters import distinct, drawn_numbers, quantity, unswept_value
 from clunk.study.rules import broken_rules
 from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Sweep
@@ -99,11 +99,10 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     Raises
     ------
     ConfigError
-        Where a value is not one that a config may hold.
+        Where a value is not one that a config may hold, or a parameter is given twice.
     """
-    columns = {
-        dotted(located(study, key)[0]): with_tuples(np.asarray(values).tolist()) for key, values in points.items()
-    }
+    lists = (with_tuples(np.asarray(values).tolist()) for values in points.values())
+    columns = dict(zip(distinct(study, points), lists, strict=True))
     axes = tuple({"parameter": parameter, "values": values} for parameter, values in columns.items())
     sweep, findings = validated(Sweep, {"design": "zip", "axes": axes}, ("sweep",))
     if sweep is not None:

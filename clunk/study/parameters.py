@@ -136,6 +136,14 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     return place, key, math.nan if value is None else float(value)
 
 
+def distinct(config: Config, keys: Iterable[str]) -> tuple[str, ...]:
+    """Dotted keys as the config has them. Raises ConfigError where it has no such key, or one is given twice."""
+    known = tuple(dotted(located(config, key)[0]) for key in keys)
+    if len({*known}) < len(known):
+        raise ConfigError(f"One of these keys is given twice: {', '.join(known)}.")
+    return known
+
+
 def with_values(config: Config, values: Mapping[str, Any]) -> tuple[Document, dict[Place, str]]:
     """Tables of a config's run with other values of some parameters, and the parameters by their places.
 

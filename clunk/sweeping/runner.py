@@ -10,10 +10,9 @@ import numpy.typing as npt
 from clunk.results.maps import Results
 from clunk.study.arrays import Floats
 from clunk.study.designs import Design, along_run, design_of_points
-from clunk.study.document import dotted
 from clunk.study.errors import ConfigError
 from clunk.study.models import NOT_OF_A_RUN
-from clunk.study.parameters import located
+from clunk.study.parameters import distinct
 from clunk.study.study import Study
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.machine import provenance
@@ -41,7 +40,7 @@ class Runner:
     Raises
     ------
     ConfigError
-        Where the study has no such key.
+        Where the study has no such key, or one is given twice.
 
     Examples
     --------
@@ -58,7 +57,7 @@ class Runner:
         self, study: Study, keys: Sequence[str], *, workers: int | None = None, engine: Executor | None = None
     ) -> None:
         self.study = study.model_copy(update=dict.fromkeys(NOT_OF_A_RUN))
-        self.keys = tuple(dotted(located(study, key)[0]) for key in keys)
+        self.keys = distinct(study, keys)
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
         self._engine, self._workers = engine, workers
         self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were looked at
