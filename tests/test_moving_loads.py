@@ -79,11 +79,12 @@ def test_a_short_ramp_is_a_step_half_its_duration_later():
 
 
 @pytest.mark.parametrize("method", ["exact", "rk4"])
+@pytest.mark.parametrize("duration", [0.0, 0.9e-9])
 @pytest.mark.parametrize(
     ("profile", "key"), [("ramp", "duration"), ("smooth", "duration"), ("lag", "time_constant"), ("pulse", "duration")]
 )
-def test_a_duration_of_0_is_a_step_or_nothing(profile, key, method):
-    run = exact(replace(NOMINAL, profile=reference.Profile(profile, **{key: 0.0})), method=method)
+def test_a_duration_of_less_than_a_nanosecond_is_a_step_or_nothing(profile, key, duration, method):
+    run = exact(replace(NOMINAL, profile=reference.Profile(profile, **{key: duration})), method=method)
     if profile == "pulse":
         assert run.label == "NI"
         assert run.complete

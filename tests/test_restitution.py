@@ -183,14 +183,17 @@ end_time = 0.4
 @pytest.mark.parametrize("method", ["exact", "rk4"])
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_flanks_without_a_gap_change_sides_and_touch_no_other_lash(restitution, method):
-    """The others are at their flanks where they touch; V is as with the least of gaps, in which they bounce besides."""
+    """The others are at their flanks where they touch, and V is as with the least of gaps, but for 2e-11 by that.
+
+    Energy closes to what each located event leaves, by rk4 some 1e-12 of all; a touch that is none leaves 5 %.
+    """
     without, least = (
         simulate(study_from_text(WITHOUT_A_GAP_BEHIND.format(restitution, gap, method))) for gap in (0.0, 1e-9)
     )
     energy = balance(without)
-    assert abs(energy.residual) < 1e-9 * energy.stored_before
+    assert abs(energy.residual) < 1e-10 * energy.stored_before
     touches = (without.events["lash"] == 0) & (without.events["kind"] == TOUCH)
     twists = without.states[touches, 1] - without.states[touches, 2]
     assert np.abs(twists) == pytest.approx(np.deg2rad(5.46) / 2.0, rel=1e-9)
-    assert without.approach_velocity == pytest.approx(least.approach_velocity, rel=1e-6)
+    assert without.approach_velocity == pytest.approx(least.approach_velocity, rel=1e-9)
     assert np.any((without.events["lash"] == 1) & (without.events["kind"] == LOCK))

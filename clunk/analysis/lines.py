@@ -199,8 +199,7 @@ class Lines:
 
     def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int, preparing: int) -> None:
         self.triangles, self._run_points = triangles, run
-        self._cost, self._most_runs = cost, most_runs(_cost_of(triangles.runs), cost)
-        self._preparing = preparing
+        self._most_runs, self._preparing = most_runs(_cost_of(triangles.runs), cost), preparing
         self._spent, self._rounds = 0, 0
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._cuts: list[tuple[Codes, Floats, Points]] = []
