@@ -201,6 +201,18 @@ def test_the_margin_is_the_smallest_of_all_near_misses(ratio, backlash, profile,
     assert exact(plant, end_time=0.5).margin == pytest.approx(expected.margin, abs=1e-9), expected
 
 
+@pytest.mark.parametrize("contact", CONTACTS)
+def test_the_margin_under_a_wave_of_no_time_is_that_of_a_step(contact):
+    """How deep a guard would go takes milliseconds, which are thousands of turns of such a wave."""
+    for ratio, backlash in ((1.5, 3.0), (1.7, 3.0), (2.5, 6.0), (3.3, 12.0)):
+        plant = reference.boere(ratio, backlash, **CONTACTS[contact])
+        at_once = exact(plant, end_time=0.5)
+        assert at_once.label != "NI"
+        for duration in (1e-6, 1e-8):  # which is what the margin may differ by, as a share of an impact's millisecond
+            quick = exact(replace(plant, profile=smooth(duration)), end_time=0.5)
+            assert quick.margin == pytest.approx(at_once.margin, abs=1e3 * duration)
+
+
 @pytest.mark.parametrize(
     ("times", "torques"),
     [

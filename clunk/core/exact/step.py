@@ -29,6 +29,7 @@ from clunk.core.exact.workspace import (
     set_field_of,
     shortest_span,
     size_of,
+    system_of,
 )
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
@@ -40,7 +41,6 @@ from clunk.core.sums import copy
 from clunk.core.tables import ACCELERATION
 
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
-_LONGEST_FALL = 2.0**16  # of the shortest spans: a guard that has not turned back then never will
 
 # Rows of `seen`: the functional at the step's beginning, and its sway; at its end; and its least and greatest values in
 # between, as `curves.between` has them.
@@ -466,9 +466,11 @@ def _begin_search(
 
 @inlined_part
 def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) -> int:
-    """Begin to search how deep the guards of events would go, where a label hangs on that; return the lanes."""
-    flow, depths, infinite = space.system.regimes[regime].flow, 0, vectors.splat(np.inf)
-    longest, elapsed = _LONGEST_FALL * shortest_span(space, flow), field(space, rows.ELAPSED)
+    """Begin to search how deep the guards of events would go, where a label hangs on that; return the lanes.
+
+    For as long as a run lasts: a guard that has not turned back then is taken as one that never does.
+    """
+    depths, elapsed, infinite = 0, field(space, rows.ELAPSED), vectors.splat(np.inf)
     for n in range(space.system.regimes[regime].guards):
         end, mask = load_curve(space.seen, n * OF_SEEN + _END), 0
         among = happened & (event == float(n)) & (_scale(space, regime, n) > 0.0)
@@ -476,8 +478,10 @@ def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) ->
         while among != 0:
             lane = vectors.first_of(among)
             among &= among - 1
-            mask |= int(label_hangs_on_depth(space, space.pool.items[lane], n)) << lane
+            slot = space.pool.items[lane]
+            mask |= int(label_hangs_on_depth(space, slot, n)) << lane
+            space.notes[0, lane] = system_of(space, slot).end_time[0]
         depths |= mask
         if mask != 0:
-            _begin_search(space, regime, n, mask, longest, elapsed, infinite, True)
+            _begin_search(space, regime, n, mask, vectors.load(space.notes, 0), elapsed, infinite, True)
     return depths
