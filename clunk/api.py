@@ -38,7 +38,7 @@ def sweep(
     workers: int | None = None,
     scheduler: str | None = None,
     boundaries: bool | None = None,
-    lash: str | None = None,
+    lash: str | int | None = None,
     restart: bool = False,
     force: bool = False,
 ) -> Results:
@@ -211,7 +211,7 @@ def run_points(
 
 
 def draw(
-    what: Results | ToleranceMap | Trajectory | Fitted, quantity: str = "regimes", *, lash: str | None = None
+    what: Results | ToleranceMap | Trajectory | Fitted, quantity: str = "regimes", *, lash: str | int | None = None
 ) -> Figure:
     """The map of a sweep's results, the picture of a run, or the maps before and after a fit.
 

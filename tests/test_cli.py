@@ -55,6 +55,16 @@ def test_sweep_plot_and_info_work_on_a_small_grid(command, small, here):
     assert all((here / name).stat().st_size > 10_000 for name in out.split())
 
 
+@pytest.mark.parametrize(
+    "words", [("sweep", "small.toml", "-o"), ("info",), ("plot",), ("init",), ("simulate", "small.toml", "-o")]
+)
+def test_a_name_that_no_file_can_have_is_answered_by_a_sentence(command, small, words):
+    name = "a" * 260 + (".toml" if words == ("init",) else ".csv" if words[0] == "simulate" else ".h5")
+    code, _, err = command(*words, name)
+    assert code == 2
+    assert f"{name} cannot be used: File name too long." in "".join(err.splitlines())
+
+
 def test_runs_that_are_cut_off_are_announced(command, small):
     """A hundredth of a second after the load step nothing has happened; without a change of load nothing will."""
     for times in range(2):

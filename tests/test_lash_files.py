@@ -91,6 +91,7 @@ def test_one_lash_is_a_map_without_the_axis(two, lash, tmp_path):
 def test_a_lash_is_taken_by_name_or_number_and_by_default_the_first(two):
     assert equal(two.of_lash(), two.of_lash("gear"))
     assert equal(two.of_lash("2"), two.of_lash("differential"))
+    assert equal(two.of_lash(2), two.of_lash("differential"))
     alone = two.of_lash()
     assert alone.of_lash() is alone
     part = two.at({"load.ratio": 5.0})

@@ -78,7 +78,7 @@ def boundaries(
     study: Study,
     results: Results,
     *,
-    lash: str | None = None,
+    lash: str | int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Boundaries:
@@ -154,7 +154,7 @@ def with_boundaries(
     study: Study,
     results: AnyMap,
     *,
-    lash: str | None = None,
+    lash: str | int | None = None,
     **options: Any,
 ) -> AnyMap:
     """A regime map with its boundaries, traced where it has none of this lash yet; options : as of `boundaries`."""

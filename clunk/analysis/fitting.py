@@ -214,7 +214,7 @@ def fit(
     *,
     progress: bool | Progress = False,
     workers: int | None = None,
-    lash: str | None = None,
+    lash: str | int | None = None,
 ) -> Fitted:
     """Fit the parameters of a study to measured sequences of impacts.
 

@@ -117,7 +117,7 @@ class Problem:
     def __init__(
         self,
         study: Study,
-        lash: str | None = None,
+        lash: str | int | None = None,
         workers: int | None = None,
         shown: str = "",
     ) -> None:
@@ -244,7 +244,7 @@ def _table(study: Study) -> Optimize:
 def optimize(
     study: Study,
     *,
-    lash: str | None = None,
+    lash: str | int | None = None,
     workers: int | None = None,
     progress: bool | Progress = False,
     shown: str = "",

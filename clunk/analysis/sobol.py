@@ -113,7 +113,7 @@ def sensitivity(
     study: Study,
     *,
     of: Sequence[str] = (),
-    lash: str | None = None,
+    lash: str | int | None = None,
     workers: int | None = None,
     progress: bool | Progress = False,
 ) -> Sensitivity:

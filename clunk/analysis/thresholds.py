@@ -177,7 +177,7 @@ def thresholds(
     *,
     along: str,
     of: str = LABEL,
-    lash: str | None = None,
+    lash: str | int | None = None,
     workers: int | None = None,
     progress: bool | Progress = False,
 ) -> Thresholds:

@@ -89,6 +89,9 @@ def main() -> NoReturn:
         terminal.complain(str(error))
         _tell_notes(error)
         sys.exit(EXIT_USAGE)
+    except OSError as error:  # of a name that is too long for a file, for example
+        terminal.complain(f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.")
+        sys.exit(EXIT_USAGE)
     sys.exit(0)
 
 

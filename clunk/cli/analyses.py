@@ -301,7 +301,7 @@ def thresholds(
             f"followed; the first is from {begin:.10g} to {end:.10g}{where}"
         )
     for status, count in located.failures.items():
-        terminal.complain(f"{count:,} runs failed: {status.sentence}")
+        terminal.complain(f"{counted(count, 'run')} failed: {status.sentence}")
     if located.failures:
         sys.exit(EXIT_FAILED_CELLS)
 

@@ -175,7 +175,7 @@ class Map(Design, ABC):
             for each in axis.parameters
         }
 
-    def at_lash(self, name: str | None = None) -> Self:
+    def at_lash(self, name: str | int | None = None) -> Self:
         """Slice at one lash, by name or number; by default at the first. The map itself where there is only one.
 
         Raises ConfigError where there is no such lash.
@@ -201,7 +201,7 @@ class Map(Design, ABC):
         """The map of each lash, by name."""
         return {name: self.of_lash(name) for name in self.lash_names}
 
-    def of_lash(self, name: str | None = None) -> Self:
+    def of_lash(self, name: str | int | None = None) -> Self:
         """Map of one lash, by name or number, without the axis `lash`; by default of the first, or the only one.
 
         Raises ConfigError where there is no such lash.

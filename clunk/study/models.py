@@ -393,7 +393,7 @@ def lash_name(position: int, name: str | None) -> str:
     return name or f"lash {position + 1}"
 
 
-def lash_position(name: str | None, names: Sequence[str]) -> int:
+def lash_position(name: str | int | None, names: Sequence[str]) -> int:
     """Position of the lash of a name or number from 1 among those with these names; of None, the first.
 
     Raises
@@ -402,8 +402,8 @@ def lash_position(name: str | None, names: Sequence[str]) -> int:
         Where there is none.
     """
     try:
-        number = int(name) if name is not None and name.isdecimal() else name
-        return 0 if name is None else position_of(number, len(names), names, "lash")
+        number = 1 if name is None else int(name) if str(name).isdecimal() else name
+        return position_of(number, len(names), names, "lash")
     except ValueError as error:
         raise ConfigError(f"{error}.") from None
 

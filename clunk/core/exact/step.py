@@ -99,8 +99,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
     failed, close = _prove(space, regime, h)
     # A part of the shortest span was proved by `_find_event`. A span beyond the end of the run (before a kink none is
-    # proposed) counts as failed, so
-    # that no event depends on where that end is.
+    # proposed) counts as failed, so that no event depends on where that end is.
     failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
     searching = _find_turns(space, regime, event, h, advancing)
