@@ -17,7 +17,7 @@ from clunk.analysis.marks import thresholds_of
 from clunk.results import files
 from clunk.results.maps import AnyMap, Results, ToleranceMap
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.designs import design_of_points, has_tolerances
+from clunk.study.designs import design_of_points
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.models import lash_position
@@ -98,7 +98,7 @@ def sweep(
     >>> results.counts()["DS(1)SS(1)"]
     160
     """
-    if has_tolerances(study):
+    if study.swept.tolerances:
         raise ClunkError(sweeping.HAS_TOLERANCES)
     traces = is_traced(study, boundaries)
     if traces:
@@ -152,7 +152,7 @@ def tolerance_map(
     >>> probabilities.runs.sum(axis=-1).min(), probabilities.draws
     (np.int64(16), 16)
     """
-    if not has_tolerances(study):
+    if not study.swept.tolerances:
         raise ClunkError("The study has no [[sweep.tolerances]]: clunk.sweep runs it.")
     probabilities = _run(study, output, progress, sweeping.engine_of(scheduler, workers), restart=restart, force=force)
     assert isinstance(probabilities, ToleranceMap)

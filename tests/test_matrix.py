@@ -19,7 +19,6 @@ from clunk.analysis.comparison import METHODS, with_method
 from clunk.core.status import Status
 from clunk.simulation.energy import balance
 from clunk.study.config import study_from_text
-from clunk.study.designs import has_tolerances
 from clunk.study.rules import count_of_regimes
 from clunk.study.study import replace_values, to_toml
 
@@ -73,7 +72,7 @@ def shipped(path):
     if study.sweep is None:
         return clunk.load_study(path, ["sweep.axes=[{parameter='lash.backlash_deg', values=[2.0, 6.0]}]"])
     few = [f"sweep.axes[{k}].count=3" for k, axis in enumerate(study.sweep.axes, 1) if axis.values is None]
-    few += ["sweep.sampling.count=8"] if has_tolerances(study) else []
+    few += ["sweep.sampling.count=8"] if study.swept.tolerances else []
     return clunk.load_study(path, few)
 
 
@@ -203,7 +202,7 @@ def test_thresholds_are_where_labels_change(verified):
     """
     study = with_method(verified.study, "exact")
     results = verified.maps["exact"].of_lash()
-    if _turn(study) != 1 or has_tolerances(study) or results.coordinates or len(results.axes) < 2:
+    if _turn(study) != 1 or study.swept.tolerances or results.coordinates or len(results.axes) < 2:
         pytest.skip("another one's turn, or no grid of nominal drivelines")
     found = clunk.thresholds(study, along=results.axes[0].parameter, workers=1)
     assert found.runs <= RUNS_OF_A_CELL * found.lowest.size
@@ -221,7 +220,7 @@ def test_a_sensitivity_is_of_its_nominal_run_and_a_fit_of_its_own_labels_meets_t
     """Every fifth study: its numbers drawn around their values, and its map's labels, as if they were measured."""
     study, results = with_method(verified.study, "exact"), verified.maps["exact"].of_lash()
     many = count_of_regimes(study) > MOST_REGIMES
-    if _turn(study) != 3 or has_tolerances(study) or len(results.axes) < 2 or many:
+    if _turn(study) != 3 or study.swept.tolerances or len(results.axes) < 2 or many:
         pytest.skip("another one's turn, or more regimes than a thousand drivelines are prepared with at once")
     keys = [axis.parameter for axis in results.axes]
     drawn = "".join(DRAWN.format(key) for key in keys)
@@ -266,7 +265,7 @@ def test_commands_answer(ran, here, command):
         assert code == 2
         assert "Traceback" not in errors
         return
-    if has_tolerances(ran.study):
+    if ran.study.swept.tolerances:
         code, output, errors = command("sweep", "study.toml", "-o", "map.h5")
         assert code == 0, errors
     else:

@@ -28,7 +28,6 @@ from clunk.results.maps import AnyMap, Results
 from clunk.results.quantities import LABEL, OF_RUNS
 from clunk.study.arrays import Codes, Floats, Records
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.models import lash_position
 from clunk.study.study import Study
@@ -45,7 +44,7 @@ _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that onl
 def require_boundaries(study: Study) -> None:
     """Raise ClunkError where a study's map has no boundaries between its cells that could be traced."""
     axes = grid_axes(study, "Boundaries")
-    if has_tolerances(study):
+    if study.swept.tolerances:
         raise ClunkError("A tolerance map has no boundaries: in its cells labels are probable, not certain.")
     if len(axes) != 2:
         raise ClunkError(
@@ -62,8 +61,8 @@ def is_traced(study: Study, asked: bool | None = None) -> bool:
     It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises
     ClunkError where they are asked for and the map has none.
     """
-    if asked is None and study.sweep is not None:
-        asked = study.sweep.boundaries
+    if asked is None:
+        asked = study.swept.boundaries
     try:
         if asked is not False:
             require_boundaries(study)

@@ -242,13 +242,13 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
     if study.sweep is None:
         parameter = dotted((*study.lash_places[0], "backlash_deg"))
         one = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
-        grid = study.model_copy(update={"sweep": Sweep(axes=(one,))})
+        grid = study.but(sweep=Sweep(axes=(one,)))
     return compare(*(sweep(with_method(grid, method), workers=workers, progress=progress) for method in METHODS))
 
 
 def with_method(study: Study, method: Method) -> Study:
     """The study with this method in its solver."""
-    return study.model_copy(update={"solver": study.solver.model_copy(update={"method": method})})
+    return study.but(solver=study.solver.but(method=method))
 
 
 def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:

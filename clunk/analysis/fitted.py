@@ -278,7 +278,7 @@ class Fitted(Record):
 
 def intervals_of(draws: Floats, weights: Floats) -> Floats:
     """(d, 2) 5 and 95 % quantiles of the columns of draws, (n, d), with weights, (n,)."""
-    return np.asarray(np.quantile(draws, INTERVAL, axis=0, weights=weights, method="inverted_cdf").T)
+    return np.quantile(draws, INTERVAL, axis=0, weights=weights, method="inverted_cdf").T
 
 
 # --- Weights and predictions ------------------------------------------------------------------------------------------
@@ -360,7 +360,7 @@ def fitted_study(fitted: Fitted) -> Study:
     True
     """
     study, priors = fitted.study, fitted.priors
-    document = content(study.model_copy(update={"fit": None}))
+    document = content(study.but(fit=None))
     for key, value in with_draws(study, {}, priors, fitted.estimate).items():
         document = with_value(document, located(study, key)[0], float(value))
     acted_on = {each.parameter for each in priors} - {each.parameter for each in priors if each.draws == "value"}
@@ -383,8 +383,8 @@ def fit_maps(fitted: Fitted) -> tuple[Results, Results]:
     fixed = [k for k in range(len(fitted.axes)) if k not in varying]
     axes = [_axis(fitted, k) for k in varying]
     axes += [Axis(parameter=fitted.axes[k], values=(float(fitted.points[0, k]),)) for k in fixed]
-    study = fitted.study.model_copy(update={"sweep": Sweep(axes=tuple(axes))})
-    studies = study.model_copy(update={"fit": None}), fitted_study(replace(fitted, study=study))
+    study = fitted.study.but(sweep=Sweep(axes=tuple(axes)))
+    studies = study.but(fit=None), fitted_study(replace(fitted, study=study))
     before, after = (sweep(each).of_lash(fitted.lash) for each in studies)
     return before, replace(after, axes=before.axes)
 

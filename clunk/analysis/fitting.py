@@ -196,7 +196,7 @@ def outlier_misfit(deviation: Floats | float) -> Floats:
     """
     from scipy.stats import cauchy, norm
 
-    z = np.stack([np.asarray(deviation), np.zeros(np.shape(deviation))])
+    z = np.stack([deviation, np.zeros(np.shape(deviation))])
     density = (1.0 - _OUTLIERS) * norm.pdf(z) + _OUTLIERS * cauchy.pdf(z, scale=_OUTLIER_SCALE)
     return np.asarray(np.log(density[1] / density[0]))
 
@@ -255,7 +255,7 @@ def fit(
     check(study, experiment)
     assert study.fit is not None
     settings, priors = study.fit, study.fit.parameters
-    name, plain = study.lash_names[lash_position(lash, study.lash_names)], study.model_copy(update={"sweep": None})
+    name, plain = study.lash_names[lash_position(lash, study.lash_names)], study.but(sweep=None)
     most = settings.candidates + settings.draws
     with engine_of(None, workers) as engine, reporting(progress, most, plain, what="candidates") as report:
         candidates = Candidates(study, experiment, name, engine, report)
@@ -299,7 +299,7 @@ def _search(candidates: Candidates) -> None:
     populations = settings.candidates // (_SEARCHED * count)
     if populations:
         differential_evolution(
-            lambda shares: candidates(np.asarray(norm.ppf(np.clip(shares.T, 1e-12, 1.0 - 1e-12)))),
+            lambda shares: candidates(norm.ppf(np.clip(shares.T, 1e-12, 1.0 - 1e-12))),
             [(0.0, 1.0)] * count,
             init="sobol",
             popsize=_SEARCHED,

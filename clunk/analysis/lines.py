@@ -59,7 +59,7 @@ def _cost_of(runs: Points) -> int:
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:
     """Number of the edge between two nodes, whichever comes first."""
-    return np.asarray((np.minimum(first, second) << _SHIFT) | np.maximum(first, second))
+    return (np.minimum(first, second) << _SHIFT) | np.maximum(first, second)
 
 
 def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
@@ -74,11 +74,11 @@ def _edges(corners: Nodes) -> Codes:
 
 def cross(one: Floats, other: Floats) -> Floats:
     """Cross products of vectors, (..., 2) each."""
-    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
 
 
 def _length(vectors: Floats) -> Floats:
-    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))
+    return np.hypot(vectors[..., 0], vectors[..., 1])
 
 
 class Triangles:
@@ -90,17 +90,17 @@ class Triangles:
     """
 
     def __init__(self, across: Floats, upward: Floats, runs: Points) -> None:
-        self.positions: Floats = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
-        self.runs: Points = runs.ravel()
-        self.nodes: Nodes = np.arange(runs.size).reshape(runs.shape)  # of the map
+        self.positions = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.runs = runs.ravel()
+        self.nodes = np.arange(runs.size).reshape(runs.shape)  # of the map
         a, b, c, d = self.nodes[:-1, :-1], self.nodes[1:, :-1], self.nodes[1:, 1:], self.nodes[:-1, 1:]
-        self.corners: Nodes = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
-        self.is_new: Bools = np.ones(len(self.corners), bool)
+        self.corners = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+        self.is_new = np.ones(len(self.corners), bool)
 
     @property
     def outcome(self) -> Codes:
         """Code of each node's label, (nodes,)."""
-        return np.asarray(self.runs["outcome"])
+        return self.runs["outcome"]
 
     def mixed(self, *, only_new: bool = False) -> tuple[Nodes, Nodes]:
         """Triangles of two labels, the corner of the other label first, and triangles of three: (n, 3) nodes each."""
@@ -248,7 +248,7 @@ class Lines:
 
     def bracket(self, keys: Codes) -> Floats:
         """Ends of the brackets of the crossings on edges, (2, n, 2), from each edge's first node on."""
-        return np.asarray(self.brackets[np.searchsorted(self.keys, keys)].swapaxes(0, 1))
+        return self.brackets[np.searchsorted(self.keys, keys)].swapaxes(0, 1)
 
     def _widths(self) -> Floats:
         return _length(self.brackets[:, 1] - self.brackets[:, 0])

@@ -83,7 +83,7 @@ def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
 def rings_of(paths: list[Path], corner: int) -> list[Ring]:
     """Rings around the regions; corner : label of the frame where no curve ends on it."""
     rings = []
-    starts: dict[tuple[int, int], tuple[int, bool]] = {}  # junction and label on the left -> path, whether forward
+    starts = {}  # junction and label on the left -> path, whether forward
     on_frame: dict[int, float] = {}
     for k, path in enumerate(paths):
         first, last = path.nodes[0], path.nodes[-1]
@@ -98,7 +98,7 @@ def rings_of(paths: list[Path], corner: int) -> list[Ring]:
     following = dict(zip(around, [*around[1:], *around[:1]], strict=True))
     while starts:
         (node, label), _ = next(iter(starts.items()))
-        points: list[Floats] = []
+        points = []
         while (node, label) in starts:
             k, forward = starts.pop((node, label))
             path = paths[k]

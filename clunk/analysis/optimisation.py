@@ -16,7 +16,7 @@ import numpy as np
 
 from clunk.core.runs import BEGIN
 from clunk.results.quantities import YES_NO, measuring, quantity_of
-from clunk.simulation.load import loads_of
+from clunk.simulation.load import cases_of
 from clunk.study.arrays import Bools, Floats
 from clunk.study.designs import design_of, nominal
 from clunk.study.errors import ClunkError
@@ -140,7 +140,7 @@ class Problem:
                     raise ClunkError(f"{quantity.name} is no condition; severity<=8000 or double_sided=0 is one.")
         self.study = measuring(nominal(study), [*self._conditions, *self._numbers])
         design = design_of(self.study)
-        self._cells = design.columns(np.arange(design.cells)) if design.shape else {}
+        self._cells = design.columns(np.arange(design.cells))
         self._tolerances = study.swept.tolerances
         self._drawn = drawn_numbers(study, self._tolerances)
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
@@ -175,7 +175,7 @@ class Problem:
             return np.asarray(np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1))
 
         lacks = np.zeros((shape[0], shape[2]))
-        quantities: dict[str, Floats | Bools] = {}
+        quantities = {}
         for condition in self._conditions:
             met = condition.of_runs(results) == 1.0  # NaN where a run failed
             # a number lacks its distance from its bound, a label the speed of the impacts
@@ -221,9 +221,8 @@ class Problem:
 
     def _release_times(self, columns: dict[str, Floats]) -> Floats:
         """Times from which on the load rests, in the runs [s]."""
-        swept = {key.removeprefix("load."): values for key, values in columns.items() if key.startswith("load.")}
         count = len(next(iter(columns.values())))
-        return np.broadcast_to(loads_of(self.study.load, count, **swept)[1][:, -1, BEGIN], count)
+        return np.broadcast_to(cases_of(self.study, columns, count).loads[:, -1, BEGIN], count)
 
 
 @contextmanager
@@ -305,8 +304,8 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
     table, best = _table(study), optimize(study, shown=quantity, **options)
     points = [best]
     for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
-        bounded = table.model_copy(update={"subject_to": (*table.subject_to, f"{quantity}<={bound:.6g}")})
-        points.append(optimize(study.model_copy(update={"optimize": bounded}), shown=quantity, **options))
+        bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
+        points.append(optimize(study.but(optimize=bounded), shown=quantity, **options))
     return Front(tuple(each for each in points if each.holds))
 
 

@@ -61,8 +61,8 @@ _STALLED = 0.5  # of its width, which a bracket is expected to fall below
 
 def grid_axes(study: Study, what: str) -> tuple[ResultAxis, ...]:
     """Axes of a study's grid, between whose values thresholds or boundaries lie. Raises ClunkError where it is none."""
-    swept = study.sweep
-    if swept is None or not swept.axes or swept.samples or swept.design == "zip":
+    swept = study.swept
+    if not swept.axes or swept.samples or swept.design == "zip":
         raise ClunkError(
             f"{what} lie between the values of a grid: the config needs [[sweep.axes]], and neither [[sweep.samples]] "
             'nor design = "zip".'

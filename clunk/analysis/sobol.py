@@ -190,8 +190,8 @@ def sensitivity(
 
 def operating_point(study: Study) -> Study:
     """The study with its tolerances and without axes. Raises ClunkError where they have no Sobol indices."""
-    swept = study.sweep
-    if swept is None or not swept.tolerances:
+    swept = study.swept
+    if not swept.tolerances:
         raise ClunkError(
             "There is no spread to divide: the config has no [[sweep.tolerances]], one for each parameter that is "
             "drawn (clunk help tolerances)."
@@ -202,7 +202,7 @@ def operating_point(study: Study) -> Study:
     count = swept.sampling.count
     if count < _FEWEST or count & (count - 1):
         raise ClunkError(f"sweep.sampling.count = {count}: Sobol indices need a power of two, {_FEWEST} or more.")
-    return study.model_copy(update={"sweep": swept.model_copy(update={"axes": (), "design": "grid"})})
+    return study.but(sweep=swept.but(axes=(), design="grid"))
 
 
 def saltelli_sample(study: Study) -> Floats:

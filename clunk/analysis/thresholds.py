@@ -43,6 +43,7 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
+from clunk.study.designs import Design
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import drawn_numbers, numbered, with_draws
@@ -140,7 +141,7 @@ class Thresholds:
         rows = []
         for cell, lowest in enumerate(self.lowest.tolist()):
             neighbours = pairwise(self.intervals(cell))
-            none: list[tuple[float | None, int, int]] = [(None, lowest, lowest)]
+            none = [(None, lowest, lowest)]
             for value, below, above in [(end, below, above) for (*_, below), (end, _, above) in neighbours] or none:
                 sides = {"below": self.word(below), "above": self.word(above)}
                 rows.append(self.at(cell) | {self.along.parameter: value} | sides)
@@ -227,20 +228,19 @@ def thresholds(
     """
     along_axis, axes = axes_of(study, along)
     position, outcome = lash_position(lash, study.lash_names), parse(of, study)
-    shape = tuple(len(axis.values) for axis in axes)
+    design = Design(axes)
     tolerances = study.swept.tolerances
     drawn = drawn_numbers(study, tolerances)
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
     keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
-    points = np.zeros(math.prod(shape) * len(along_axis.values), POINT)
+    points = np.zeros(design.cells * len(along_axis.values), POINT)
     points["cell"], scanned = np.divmod(np.arange(points.size), len(along_axis.values))
     points["value"] = along_axis.values[scanned]
     with engine_of(None, workers) as engine, reporting(progress, points.size, study, what="runs") as report:
         point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)
 
         def run(cells: Codes, values: Floats) -> Points:
-            places = np.unravel_index(cells, shape) if shape else ()
-            columns = {axis.parameter: axis.values[at] for axis, at in zip(axes, places, strict=True)}
+            columns = design.columns(cells)
             columns[along_axis.parameter] = values
             draws = columns.pop(DRAW, np.ones(1)).astype(np.int64)
             columns = with_draws(study, columns, tolerances, (numbers[draws - 1] for numbers in drawn))
@@ -293,9 +293,8 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
         raise ClunkError(f"{shorten(along)} is no axis of the config; its axes are {listing(names)}{hint}")
     axis = axes[names.index(along)]
     check_axis(study, axis, "thresholds")
-    assert study.sweep is not None  # its axes are part of it
-    draws = np.arange(1.0, study.sweep.sampling.count + 1.0)
-    drawn = (ResultAxis(DRAW, draws, "number of the draw", "", "1"),) if study.sweep.tolerances else ()
+    draws = np.arange(1.0, study.swept.sampling.count + 1.0)
+    drawn = (ResultAxis(DRAW, draws, "number of the draw", "", "1"),) if study.swept.tolerances else ()
     return replace(axis, values=np.sort(axis.values)), drawn + tuple(each for each in axes if each is not axis)
 
 

@@ -134,7 +134,7 @@ def optimize(
         else:
             runs = {"as it is": study, "best": found.study}
             figure = histories.history_figure(
-                [sample(simulate(each.model_copy(update={"sweep": None})), name=name) for name, each in runs.items()]
+                [sample(simulate(each.but(sweep=None)), name=name) for name, each in runs.items()]
             )
         terminal.save_picture(figure, picture)
 
@@ -254,13 +254,13 @@ def thresholds(
     from clunk.analysis import thresholds as analysis
     from clunk.analysis.thresholds import check_quantiles, threshold_quantiles
     from clunk.results import files
-    from clunk.study.designs import has_tolerances, nominal, with_axes_at
+    from clunk.study.designs import nominal, with_axes_at
 
     _, axes = analysis.axes_of(study, along)
     if at:
         swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
         study = with_axes_at(study, nearest_values(swept, at, study))
-    is_toleranced = has_tolerances(study)
+    is_toleranced = bool(study.swept.tolerances)
     if quantiles and not is_toleranced:
         raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")
     shares = quantiles or (0.5, 0.95)

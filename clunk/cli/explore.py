@@ -53,11 +53,11 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
         return read_map(source)
     from clunk.explorer.subject import of_one_cell
     from clunk.study.config import load_study
-    from clunk.study.designs import has_tolerances, nominal
+    from clunk.study.designs import nominal
     from clunk.sweeping.sweep import Job
 
     study = load_study(source, overrides)
-    if has_tolerances(study):
+    if study.swept.tolerances:
         study = nominal(study)
         terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
     if not (study.swept.axes or study.swept.samples):

@@ -1,7 +1,6 @@
 """`clunk info`: what a results file holds."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -37,7 +36,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
             for axis in results.parameters
             if not axis.words
         ]
-        record: dict[str, Any] = {"title": results.title, "axes": axes} | tables.outcomes(results)
+        record = {"title": results.title, "axes": axes} | tables.outcomes(results)
         if boundaries is not None:
             record["boundaries"] = {"areas": boundaries.areas, "unresolved": boundaries.unresolved}
         record |= {"caveats": results.caveats, "config_digest": results.config_digest} | results.attributes

@@ -109,7 +109,7 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
     from clunk.study.parameters import numbered
 
     swept = {axis.parameter: axis for axis in axes}
-    values: dict[str, float] = {}
+    values = {}
     for assignment in at:
         name, text = assigned(assignment)
         (key,) = numbered([name], document)

@@ -100,7 +100,6 @@ def _studies_to_simulate(
     """Names and studies of the runs to make: one, or one for each combination of overlaid values."""
     from itertools import product
 
-    from clunk.study.designs import has_tolerances
     from clunk.study.document import assigned
     from clunk.study.study import replace_values
 
@@ -114,9 +113,9 @@ def _studies_to_simulate(
     for chosen in product(*choices.values()):
         study = study_of(source, [*overrides, *chosen])
         values = cell_values(study, at, all_needed=source.suffix == ".h5")
-        if has_tolerances(study) and not studies:
+        if study.swept.tolerances and not studies:
             terminal.complain("tolerances are left aside; this is the nominal run")
-        single = replace_values(study.model_copy(update={"sweep": None}), values)
+        single = replace_values(study.but(sweep=None), values)
         studies.append((", ".join(chosen) or study.title, single))
     return studies
 

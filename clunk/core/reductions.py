@@ -67,8 +67,8 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
     lashes, closed : as for `locked`
     """
     *batch, count, n = lashes.shape
-    basis: FloatArray = np.eye(n)
-    pick: FloatArray = np.eye(n)
+    basis = np.eye(n)
+    pick = np.eye(n)
     shift = np.zeros((*batch, 2 * n, count))
     for k in np.flatnonzero(closed):
         lash = lashes[..., k, None, :]
@@ -93,6 +93,6 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
 
 def product(one: FloatArray, other: FloatArray) -> FloatArray:
     """A product that is zero to the last bit where only rounding is left."""
-    result: FloatArray = one @ other
+    result = one @ other
     result[np.abs(result) <= _ROUNDING * (np.abs(one) @ np.abs(other))] = 0.0
     return result

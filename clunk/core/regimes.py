@@ -459,4 +459,4 @@ def _derivatives(rows: FloatArray, motion: FloatArray) -> FloatArray:
 
 def _across(twist: FloatArray, matrix: FloatArray) -> FloatArray:
     """(…, columns) a twist times the columns of a matrix, (…, n, columns)."""
-    return np.asarray((twist[..., None, :] @ matrix)[..., 0, :])
+    return (twist[..., None, :] @ matrix)[..., 0, :]

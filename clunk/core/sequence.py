@@ -71,7 +71,7 @@ def label(flanks: Iterable[int]) -> str:
     double-sided one (DS). O again from the opposite flank is OS, written before its DS or CR; a crossing without its I
     is CR.
     """
-    excursions: list[str] = []
+    excursions = []
     on_opposite = False
     for flank in flanks:
         if on_opposite:

@@ -293,7 +293,7 @@ def build_tables(
         ending = len(rows)
         rows += [(e, guard) for e, state in enumerate(active) for guard in state.watched]
         flow = int(np.dot([state.flow for state in active], flow_strides[:-1]))
-        sides = [int(np.asarray(state.weight)) for state in active[:count]]
+        sides = [int(state.weight) for state in active[:count]]
         functionals = [elements[e].functional + guard.functional for e, guard in rows]
         signs = [guard.sign * (sides[e] or 1 if e < count else 1) for e, guard in rows]
         key = flow, tuple(side != 0 for side in sides), tuple(functionals), tuple(signs)

@@ -160,7 +160,7 @@ def run_tile(
     space = make_workspace(batch.systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)
     begins, impacts = np.full(cells - first, -1), output.impacts
-    done: int = by_exact(space, undecided, cases, first, max_events, output, x, free, begins, stop)
+    done = by_exact(space, undecided, cases, first, max_events, output, x, free, begins, stop)
     # runs were over in any order: put their impacts in that of the cells
     counts = output.cells["primary_impacts"][first:done].sum(axis=1, dtype=np.int64)
     behind = np.cumsum(counts)

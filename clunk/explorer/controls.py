@@ -1,7 +1,5 @@
 """Sliders with boxes to type into, for the values of a map's axes and for other numbers of the config."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Figures of the page, drawn with Bokeh: the map with marks of the cells that runs are shown of, and these runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
@@ -27,12 +25,12 @@ from clunk.plot.histories import flank_names, measured_impacts, outcome
 from clunk.plot.labelling import roomiest
 from clunk.plot.layers import Layers
 from clunk.plot.maps import cell_colours, shades_of
-from clunk.plot.plane import Codes, View, cells_of, ruler, value_text
+from clunk.plot.plane import View, cells_of, ruler, value_text
 from clunk.plot.style import FAILED_FILL, FAINT_INK, INK, LINE_COLOURS, bare, capital
 from clunk.results.maps import AnyMap
 from clunk.results.quantities import YES_NO
 from clunk.simulation.history import History
-from clunk.study.arrays import Floats
+from clunk.study.arrays import Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.records import html_table
 
@@ -107,9 +105,9 @@ class MapFigure:
         shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
         bar = ColorBar(color_mapper=shades, width=10, visible=False)
         plot.add_layout(bar, "right")
-        self.models: dict[str, Model] = {**sources, "shades": shades, "bar": bar, "y axis": plot.yaxis[0]}
+        self.models = {**sources, "shades": shades, "bar": bar, "y axis": plot.yaxis[0]}
         self.models["legend"] = self.legend
-        ring: dict[str, Any] = {"source": self._marks, "level": "overlay", "line_color": "colour", "line_width": 2.5}
+        ring = {"source": self._marks, "level": "overlay", "line_color": "colour", "line_width": 2.5}
         text = {"text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
         if len(axes) > 1:
             plot.image_rgba("image", "x", "y", "dw", "dh", source=sources["image"])
@@ -159,7 +157,7 @@ class MapFigure:
         gap = np.full((1, 2), np.nan)
         line = np.concatenate([part for each in layers.lines for part in (each, gap)] or [gap])
         names = [] if layers.shaded else _names(regions, layers, x, y)
-        changes: Changes = {
+        changes = {
             "image": _columns("image x y dw dh", [(pixels.view(np.uint32)[..., 0], left, low, width, height)]),
             "lines": {"data": {"x": line[:, 0], "y": line[:, 1]}},
             "points": {"data": {"x": layers.doubts[:, 0], "y": layers.doubts[:, 1]}},
@@ -214,7 +212,7 @@ def _legend(layers: Layers) -> str:
     return " &nbsp; ".join(entries)
 
 
-def _names(regions: Codes, layers: Layers, x: Floats, y: Floats) -> list[tuple[str, float, float]]:
+def _names(regions: LabelCodes, layers: Layers, x: Floats, y: Floats) -> list[tuple[str, float, float]]:
     """Names in the roomiest part of their largest region, where they have room, and where that is."""
     regions, x, y = regions[::_SKIP, ::_SKIP], x[::_SKIP], y[::_SKIP]
     names = []
@@ -289,17 +287,17 @@ class RunFigures:
         look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
         lash.scatter("x", "y", source=touches, marker="triangle", **look)
         acceleration.add_layout(Whisker(base="x", lower="low", upper="high", source=arrows, line_color=INK))
-        above: dict[str, Any] = {"text_align": "center", "text_baseline": "bottom", "y_offset": -2}
+        above = {"text_align": "center", "text_baseline": "bottom", "y_offset": -2}
         acceleration.text("x", "high", "text", source=arrows, **above, **_TEXT)
         for name in ("start", "end"):
             self._time.on_change(name, self._on_zoom)
-        own: dict[str, Model] = {"time": self._time, "gap": gap, "curves": self._curves, "arrows": arrows}
+        own = {"time": self._time, "gap": gap, "curves": self._curves, "arrows": arrows}
         own |= {"flanks": flanks, "touches": touches, **{name: each.y_range for name, each in self.figures.items()}}
         own |= {"header": self.header, "compared": self.compared, "events": self.events}
         self.message = Message({**models, **own})
 
     def _figure(self, panel: _Panel) -> Any:
-        around: dict[str, Any] = dict(zip(("min_border_left", "min_border_right"), _BESIDE, strict=True))
+        around = dict(zip(("min_border_left", "min_border_right"), _BESIDE, strict=True))
         plot = figure(
             name=panel.name,
             x_range=self._time,
@@ -324,7 +322,7 @@ class RunFigures:
         plot.ygrid.grid_line_color = "#e6e6e6"
         plot.xaxis.visible = panel is _PANELS[-1]
         plot.xaxis.axis_label = "time [s]"
-        look: dict[str, Any] = {"line_color": FAINT_INK, "line_dash": "dotted", "line_width": 1.0}
+        look = {"line_color": FAINT_INK, "line_dash": "dotted", "line_width": 1.0}
         plot.add_layout(Span(location=self._load_step, dimension="height", **look))
         plot.multi_line(f"{panel.name}_x", f"{panel.name}_y", source=self._curves, color="colour", line_width=1.4)
         plot.on_event(Reset, lambda _: self.message.send({**self._see(self._whole), **self._drawn()}))
@@ -337,7 +335,7 @@ class RunFigures:
         """
         self._runs = [each.history.lashes[lash] for each in (run, *pins)]
         whole = float(min(each.time[0] for each in self._runs)), float(max(each.time[-1] for each in self._runs))
-        changes: Changes = self._see(whole) if self._span == self._whole else {}
+        changes = self._see(whole) if self._span == self._whole else {}
         self._whole = whole
         half, trajectory = 1e3 * self._runs[0].half_gap, self._runs[0].trajectory
         facts = [*filter(None, [note]), *(f"{name} {text}" for name, text in trajectory.outcome() if name != "label")]
@@ -360,7 +358,7 @@ class RunFigures:
     def refuse(self, text: str) -> None:
         """Show no run, and why."""
         self._runs = []
-        texts: Changes = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
+        texts = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
         self.message.send({**texts, **self._drawn()})
 
     def _see(self, span: tuple[float, float]) -> Changes:
@@ -375,9 +373,9 @@ class RunFigures:
     def _drawn(self) -> Changes:
         """The curves of all runs within what is seen, and flanks, touches and each Q_i of the one that is shown."""
         begin, end = self._span
-        flanks: list[tuple[Any, ...]] = []
-        touches: list[tuple[Any, ...]] = []
-        arrows: list[tuple[Any, ...]] = []
+        flanks = []
+        touches = []
+        arrows = []
         for run in self._runs[:1]:
             flanks = [(begin, y, name, "top" if y > 0.0 else "bottom") for y, name in flank_names([run]).items()]
             for row, side, primary in zip(*run.touches, strict=True):
@@ -388,7 +386,7 @@ class RunFigures:
                 x = each.begin + 0.012 * (end - begin)
                 arrows.append((x, each.smallest, each.largest, f"Q{each.number}"))
         touches.sort(key=lambda touch: touch[-1])  # primary ones on top
-        changes: Changes = {"flanks": _columns(_FLANKS, flanks), "touches": _columns(_TOUCHES, touches)}
+        changes = {"flanks": _columns(_FLANKS, flanks), "touches": _columns(_TOUCHES, touches)}
         changes["arrows"] = _columns(_ARROWS, arrows)
         shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
         data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}

@@ -1,7 +1,5 @@
 """A thread for the newest of many requests: older ones that wait are dropped, and one that runs is told to stop."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 

@@ -4,8 +4,6 @@ It listens on the loopback interface; every path begins with a token; a page of 
 connect; and what the browser gets forbids it to load anything from elsewhere.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import secrets

@@ -1,7 +1,5 @@
 """Subject of the explorer: results and their study, the axes of the map, and maps and runs with other numbers."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -17,7 +15,7 @@ from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.config import study_from_text
-from clunk.study.designs import Design, design_of, has_tolerances, nominal
+from clunk.study.designs import Design, design_of, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import nominal_value
 from clunk.study.study import Study, replace_values, to_toml
@@ -83,12 +81,10 @@ class Subject:
         """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell."""
         if not self.plane:
             return to_toml(self._study_at(cell, numbers))
-        swept, whole = self._study_of_map(cell, numbers).sweep, self._toleranced.sweep
-        if has_tolerances(self._toleranced) and not numbers:
-            assert swept is not None
-            assert whole is not None
-            swept = swept.model_copy(update={"tolerances": whole.tolerances, "sampling": whole.sampling})
-        return to_toml(self._study_at(cell, numbers).model_copy(update={"sweep": swept}))
+        swept, whole = self._study_of_map(cell, numbers).swept, self._toleranced.swept
+        if whole.tolerances and not numbers:
+            swept = swept.but(tolerances=whole.tolerances, sampling=whole.sampling)
+        return to_toml(self._study_at(cell, numbers).but(sweep=swept))
 
     def maps(self, slices: Numbers, numbers: Numbers, lash: str, progress: Progress) -> Iterator[AnyMap]:
         """Yield the map with other numbers, better and better: every few values, all of them, and with its lines.
@@ -121,7 +117,7 @@ class Subject:
         return any(axis.parameter == RUN for axis in self._axes)
 
     def _study_at(self, cell: Numbers, numbers: Numbers) -> Study:
-        alone = self.study.model_copy(update={"sweep": None})
+        alone = self.study.but(sweep=None)
         return replace_values(alone, {**self.values(cell), **numbers})
 
     def _study_of_map(self, cell: Numbers, numbers: Numbers) -> Study:
@@ -130,16 +126,16 @@ class Subject:
         fixed = {key: value for key, value in self.values(cell).items() if key not in shown}
         if self._has_runs:
             fixed = {axis.parameter: fixed[axis.parameter] for axis in self._axes if axis.parameter in fixed}
-        study = replace_values(self.study.model_copy(update={"sweep": None}), {**fixed, **numbers})
+        study = replace_values(self.study.but(sweep=None), {**fixed, **numbers})
         axes = tuple(axis for axis in self.study.swept.axes if axis.parameter in shown)
-        return study.model_copy(update={"sweep": self.study.sweep if self._has_runs else Sweep(axes=axes)})
+        return study.but(sweep=self.study.sweep if self._has_runs else Sweep(axes=axes))
 
 
 def of_one_cell(study: Study) -> Study:
     """A study without a sweep as one of a single cell, so that it has results."""
     key = "solver.end_time"  # any key does that every study has
     axis = Axis(parameter=key, values=(nominal_value(study, key),))
-    return study.model_copy(update={"sweep": Sweep(axes=(axis,))})
+    return study.but(sweep=Sweep(axes=(axis,)))
 
 
 def position(axes: tuple[ResultAxis, ...], cell: Numbers) -> tuple[int, ...]:

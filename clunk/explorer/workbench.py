@@ -1,7 +1,5 @@
 """The page: a map, what is asked for with pointer, keys and widgets, and where it is shown."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,13 +1,10 @@
 """Figures of analyses: maps compared, measured labels, thresholds, Sobol indices, optima."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import cycle, groupby
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -145,8 +142,7 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
     drawn, curves, seen = "thresholds of", [], set()
     shares, colours = [1.0], [INK]
     if nominal is not None:
-        assert study.sweep is not None
-        drawn = f"share of {study.sweep.sampling.count:,} drivelines"
+        drawn = f"share of {study.swept.sampling.count:,} drivelines"
         shares, colours = thresholds.axes[-1].values.tolist(), [*LINE_COLOURS[1:]]
     for (rank, k), colour in zip(enumerate(np.argsort(shares)), cycle(colours), strict=False):
         paler = {code: style.tint(fill, (rank + 1.0) / len(shares)) for code, fill in enumerate(fills)}
@@ -158,7 +154,7 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
         curves.append(Line2D([], [], **_WITHOUT))
     scale_panels(figure, [ax], (x, thresholds.along))
     fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis.values) == 1]
-    notes: list[Artist] = []
+    notes = []
     for code in sorted(seen):
         notes.append(style.swatch(words(thresholds.word(code)), [*fills, style.FAILED_FILL][code]))
     line = "; ".join([f"{drawn}: {plain.outcome.heading_with_unit}", *fixed])
@@ -170,7 +166,7 @@ def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[flo
     """Codes of a cell's intervals that are wide enough to be seen, and the thresholds between them."""
     narrowest = _NARROWEST * float(np.ptp(thresholds.along.values))
     codes: list[int] = []
-    begins: list[float] = []
+    begins = []
     for begin, end, code in thresholds.intervals(cell):
         if end - begin >= narrowest and codes[-1:] != [code]:
             codes.append(code)
@@ -188,7 +184,7 @@ def _draw_bands(
 
     Returns the codes of the outcomes that have a band.
     """
-    seen: set[int] = set()
+    seen = set()
     low, high = thresholds.along.values[[0, -1]]
     cells = np.arange(thresholds.lowest.size)[every][np.argsort(x.values, kind="stable")]
     x = replace(x, values=np.sort(x.values), words=())

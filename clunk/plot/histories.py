@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib import ticker
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -46,7 +45,7 @@ def history_figure(runs: Runs, name: str = "everything") -> Figure:
     if not runs:
         raise PlotError("There is no run to draw.")
     lashes = min(len(run.lashes) for run in runs) if name != "closeup" else 1
-    groups: dict[str, Runs] = {"": runs}
+    groups = {"": runs}
     if lashes > 1:
         groups = {style.plain(runs[0].study.lash_names[k]): [run.lashes[k] for run in runs] for k in range(lashes)}
     elif name in ("backlash", "acceleration"):
@@ -107,7 +106,7 @@ def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool)
     loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
     line = listing([*loads]) + (f", {cases.pop()}" if len(cases) == 1 else "")
     told = {run.name: f": {outcome(run)}" if outcomes else "" for run in runs}
-    handles: list[Artist] = []
+    handles = []
     if len(runs) == 1:
         line += told[runs[0].name]
     else:
@@ -215,7 +214,7 @@ def _touch_look(colour: Any, *, primary: bool, size: float = 6.5) -> Look:
 
 def draw_acceleration(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Acceleration of the watched inertia, and of a single run the peak-to-peak values that Q is made of."""
-    thin: Look = {"linewidth": 1.0} | ({"linestyle": "solid"} if len(runs) == 1 else {})
+    thin = {"linewidth": 1.0} | ({"linestyle": "solid"} if len(runs) == 1 else {})
     for run in runs:
         ax.plot(run.time, run.acceleration[:, run.watched - 1], zorder=3, **looks[run.name] | thin)
     watched = {run.watched for run in runs}

@@ -1,7 +1,5 @@
 """Texts on a map: names within their regions, measured labels beside their points."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect
 from collections.abc import Sequence
@@ -15,9 +13,8 @@ from matplotlib.font_manager import FontProperties
 from PIL import Image
 
 from clunk.plot.layers import Layers, Measured
-from clunk.plot.plane import Codes
 from clunk.plot.style import CENTRED
-from clunk.study.arrays import Bools, Floats
+from clunk.study.arrays import Bools, Floats, LabelCodes
 
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
 _NOWHERE = -2  # no region, so that no name is written there
@@ -35,11 +32,11 @@ class Raster:
     """
 
     ax: Axes
-    codes: Codes
+    codes: LabelCodes
     taken: Bools
 
     @classmethod
-    def of(cls, ax: Axes, layers: Layers) -> Raster:
+    def of(cls, ax: Axes, layers: Layers) -> "Raster":
         """The regions of a map, or of a strip over its whole height, as they are drawn."""
         box, to_data = ax.get_window_extent(), ax.transData.inverted().transform
         across, upward = (np.arange(0.5 * _PIXEL, side, _PIXEL) for side in (box.width, box.height))

@@ -1,7 +1,5 @@
 """Layers of a plane: regions with their colours, a quantity's values, lines and marks, of any map that is drawn."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,13 +10,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image, ImageDraw
 
 from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.plane import Codes, View, cell_edges, cells_of, value_text
+from clunk.plot.plane import View, cell_edges, cells_of, value_text
 from clunk.plot.style import FAILED_FILL, UNDEFINED, PlotError, colour_of, group_colour, shades
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import CERTAIN, AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, TEXT, YES_NO, Quantity, quantity_of
-from clunk.study.arrays import Array, Bools, Floats
+from clunk.study.arrays import Array, Bools, Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 from clunk.study.records import counted
@@ -80,8 +78,8 @@ class Layers:
     quantity: Quantity
     names: tuple[str, ...]
     colours: tuple[str, ...]
-    codes: Codes
-    regions_of: Codes
+    codes: LabelCodes
+    regions_of: LabelCodes
     boundaries: Boundaries | None
     undecided: Bools
     unresolved: Floats
@@ -95,7 +93,7 @@ class Layers:
     caveats: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, drawn: AnyMap, view: View, quantity: str = LABEL, most: int = MOST_LABELS) -> Layers:
+    def of(cls, drawn: AnyMap, view: View, quantity: str = LABEL, most: int = MOST_LABELS) -> "Layers":
         """Layers of a quantity of a map in a view; over one axis regions are labels, and values how hard impacts are.
 
         most : labels that are told apart; more are shown by their number of double-sided impacts
@@ -154,7 +152,7 @@ class Layers:
             )
         return replace(layers._grouped(most), shaded=True, undecided=np.zeros_like(undecided))
 
-    def _grouped(self, most: int) -> Layers:
+    def _grouped(self, most: int) -> "Layers":
         """Regions of labels, or of their numbers of double-sided impacts where the labels are too many to be read."""
         if len(self.seen) <= most:
             return self
@@ -171,7 +169,7 @@ class Layers:
         tints = zip(whole.tolist(), shades(whole.size), strict=True)
         return {value: (names[int(value)], colour) for value, colour in tints}
 
-    def _regrouped(self, numbers: Array, looks: Mapping[float, tuple[str, str]], fact: str) -> Layers:
+    def _regrouped(self, numbers: Array, looks: Mapping[float, tuple[str, str]], fact: str) -> "Layers":
         """The layers with a region for all labels with the same number, marked where two of these meet.
 
         numbers : of each label
@@ -195,7 +193,7 @@ class Layers:
             facts=(*self.facts, fact),
         )
 
-    def _faded(self, drawn: ToleranceMap) -> Layers:
+    def _faded(self, drawn: ToleranceMap) -> "Layers":
         """The most likely labels, paler where they are less certain."""
         certainty = self.view.arrange(drawn.certainty)
         white = np.where(certainty < CERTAIN, np.interp(certainty, *_FADES), 0.0)
@@ -221,10 +219,10 @@ class Layers:
         """(nx, ny, 3) colour of each cell's region, 0 to 255."""
         return self.colours_of(self.codes)
 
-    def colours_of(self, regions: Codes) -> Floats:
+    def colours_of(self, regions: LabelCodes) -> Floats:
         """(…, 3) colours of regions (…), 0 to 255."""
         table = np.array([list(bytes.fromhex(each[1:])) for each in (*self.colours, FAILED_FILL)], np.float64)
-        return np.asarray(table[regions])
+        return table[regions]
 
     @property
     def failed(self) -> Bools:
@@ -269,7 +267,7 @@ class Layers:
         return [*notes, *self.notes]
 
     @property
-    def bands(self) -> tuple[Floats, Codes]:
+    def bands(self) -> tuple[Floats, LabelCodes]:
         """Edges (n + 1,) and regions (n,) of a strip's bands, with edges halfway between samples."""
         edges, first = cell_edges(self.view.x), np.flatnonzero(np.diff(self.codes, prepend=self.codes[0] - 1))
         return np.append(edges[first], edges[-1]), self.codes[first]
@@ -301,12 +299,12 @@ class Layers:
         rings = [tuple(ring[:, list(self.view.keep)] for ring in region.rings) for region in self.boundaries.regions]
         return list(zip(codes, rings, strict=True))
 
-    def codes_at(self, x: Floats, y: Floats) -> Codes:
+    def codes_at(self, x: Floats, y: Floats) -> LabelCodes:
         """Regions (y, x) at ascending pixels along the axes, of a strip the same at every y."""
         if len(self.view.axes) < 2:
             return np.broadcast_to(self.codes[cells_of(self.view.x, x)], (len(y), len(x)))
         columns, rows = (cells_of(axis, at) for axis, at in zip(self.view.axes, (x, y), strict=True))
-        cells: Codes = self.codes[np.ix_(columns, rows)].T
+        cells = self.codes[np.ix_(columns, rows)].T
         # A hole is filled by what is in it, which is painted after what is around it.
         image = Image.fromarray(cells.astype(np.int32))
         draw = ImageDraw.Draw(image)
@@ -339,10 +337,10 @@ def _load_phrase(drawn: AnyMap) -> str:
     return ", ".join([PROFILES[load["profile"]].name, *numbers(load, without=[*STEP_KEYS, *swept])])
 
 
-def _lines_between(codes: Codes, x: Floats, y: Floats) -> list[Floats]:
+def _lines_between(codes: LabelCodes, x: Floats, y: Floats) -> list[Floats]:
     """The edges (2, 2) between cells of different regions; none where there are too many."""
 
-    def upright(codes: Codes, x: Floats, y: Floats) -> Floats:
+    def upright(codes: LabelCodes, x: Floats, y: Floats) -> Floats:
         i, j = np.nonzero(codes[1:] != codes[:-1])
         return np.stack([x[[i + 1, i + 1]], y[[j, j + 1]]], axis=-1)
 

@@ -1,7 +1,5 @@
 """The figure of a map's quantity: a plane or several side by side, a strip along one axis, or runs as points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -45,7 +43,6 @@ from clunk.plot.style import (
     lay_out,
     new_figure,
     new_panels,
-    remark,
     styled,
     swatch,
     symbol_text,
@@ -149,7 +146,7 @@ def map_figure(
     for ax, layers in zip(axes, panels, strict=True):
         _paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
     lay_out(figure, axes[0], first.title, line or first.subtitle(first.view.fixed))
-    notes: list[Artist] = []
+    notes = []
     for ax, layers in zip(axes, panels, strict=True):
         notes += _write_on_map(ax, layers, is_single=is_single)
     if is_single and not first.view.places and shades is None:
@@ -276,7 +273,7 @@ def _fill_regions(ax: Axes, layers: Layers) -> None:
         parts.setdefault(region, []).extend(Path(ring, closed=True) for ring in rings)
     for region, paths in parts.items():  # that of failed cells is -1, the last
         name, colour = (*layers.names, FAILED)[region], (*layers.colours, FAILED_FILL)[region]
-        look: Look = {"color": colour, "linewidth": 0.3, "zorder": 1, "gid": f"region {name}"}
+        look = {"color": colour, "linewidth": 0.3, "zorder": 1, "gid": f"region {name}"}
         ax.add_artist(PathPatch(Path.make_compound_path(*paths), **look))
 
 
@@ -297,7 +294,7 @@ def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
         unnamed = write_names(raster, layers.names, sizes)
     notes = layers.legend(unnamed, is_counted=is_single)
     notes += [Note("a point without a label: no room", "")] * is_crowded
-    return [swatch(*note) if note.colour else remark(note.text) for note in notes]
+    return [swatch(*note) if note.colour else swatch(note.text, "none", edgecolor="none") for note in notes]
 
 
 def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> None:

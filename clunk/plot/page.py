@@ -3,8 +3,6 @@
 Nothing in it runs and nothing is fetched: its head forbids both, and texts of the results are escaped.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator, Sequence
 from html import escape
@@ -16,7 +14,7 @@ from clunk.core.status import Status
 from clunk.plot.maps import MOST_VALUES, default_quantities, draw
 from clunk.plot.plane import drawn_axes, parted_axes
 from clunk.plot.style import styled
-from clunk.results.maps import Results, ToleranceMap
+from clunk.results.maps import AnyMap
 from clunk.study.records import columns_of, html_table
 
 _STYLE = """
@@ -50,7 +48,7 @@ _PAGE = """<!doctype html>
 """
 
 
-def page(results: Results | ToleranceMap, digests: Sequence[tuple[str, str]]) -> str:
+def page(results: AnyMap, digests: Sequence[tuple[str, str]]) -> str:
     """HTML of the page on a map.
 
     digests : name and value of what tells whether it is the same
@@ -68,7 +66,7 @@ def page(results: Results | ToleranceMap, digests: Sequence[tuple[str, str]]) ->
     )
 
 
-def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
+def _part(part: AnyMap, lash: str) -> Iterator[str]:
     """The pictures and numbers of one lash."""
     thresholds = thresholds_of(part)
     if part.lashes:

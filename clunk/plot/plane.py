@@ -1,14 +1,11 @@
 """Axes of figures: which parameters are x and y, arrays in the order of their values, scales and numbers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,8 +15,6 @@ from clunk.results.maps import Map
 from clunk.study.arrays import Array, Floats, Positions
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.parameters import numbered
-
-Codes = npt.NDArray[np.int16]
 
 _X = "load.ratio"  # from left to right wherever it is an axis
 USUAL = (_X, "lash.backlash_deg")  # stay axes of a map where others are fixed
@@ -42,7 +37,7 @@ class View:
     places: tuple[Floats, ...] = ()
 
     @classmethod
-    def of(cls, drawn: Map, x: str | None = None, y: str | None = None) -> View:
+    def of(cls, drawn: Map, x: str | None = None, y: str | None = None) -> "View":
         """The view of a grid over its axes, or of the runs of a sample or of axes that are walked together as points.
 
         x, y : of runs the parameters, by default a grid's axis, load ratio and backlash first; one alone leaves the
@@ -64,7 +59,7 @@ class View:
         return cls.of_points(drawn, [*(name for name in swept if name != RUN), *coordinates][:2])
 
     @classmethod
-    def of_plane(cls, drawn: Map, x: str | None = None, y: str | None = None) -> View:
+    def of_plane(cls, drawn: Map, x: str | None = None, y: str | None = None) -> "View":
         """The same over two axes. Raises PlotError where the map has one."""
         view = cls.of(drawn, x, y)
         if len(view.axes) < 2:
@@ -72,7 +67,7 @@ class View:
         return view
 
     @classmethod
-    def of_grid(cls, drawn: Map) -> View:
+    def of_grid(cls, drawn: Map) -> "View":
         """The view of a map over its one or two swept axes. Raises PlotError where it has more."""
         keep = drawn_axes(drawn)
         swept = [drawn.axes[index] for index in keep]
@@ -88,7 +83,7 @@ class View:
         return cls(axes, fixed_parameters(drawn), keep, order)
 
     @classmethod
-    def of_points(cls, drawn: Map, names: Sequence[str]) -> View:
+    def of_points(cls, drawn: Map, names: Sequence[str]) -> "View":
         """The view of a map's cells as points over one or two of its parameters.
 
         Raises PlotError where one does not change, or cells that differ in a dimension that is not drawn would lie on

@@ -1,7 +1,5 @@
 """Style of all figures: colours, sizes, titles, notes under them, and how they are saved."""
 
-from __future__ import annotations
-
 import io
 import math
 import os
@@ -117,7 +115,7 @@ def lay_out(
 
     parse_math : whether the line is TeX between its dollar signs
     """
-    place: Look = {"x": _INDENT, "ha": "left", "wrap": True}
+    place = {"x": _INDENT, "ha": "left", "wrap": True}
     titles = [figure.suptitle(title, fontsize=11.5, fontweight="bold", parse_math=False, **place)]
     look: Look = {"fontsize": 9.0, "color": FAINT_INK, "parse_math": parse_math}
     titles += [part.suptitle(line, **look, **place) for part in figure.subfigs]
@@ -149,11 +147,6 @@ def swatch(text: str, colour: str, **look: Any) -> Patch:
     """A note that begins with a colour."""
     fill: Look = {"facecolor": colour, "edgecolor": INK, "linewidth": 0.6} | look
     return Patch(label=text, **fill)
-
-
-def remark(text: str) -> Patch:
-    """A note without a mark."""
-    return swatch(text, "none", edgecolor="none")
 
 
 def tidy(ax: Axes, axis: Literal["x", "y"] = "y") -> None:
@@ -221,6 +214,6 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 def encode(figure: Figure, suffix: str, target: BinaryIO) -> None:
     """Write a figure to a stream as png, svg or pdf; the same figure gives the same bytes."""
-    metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
+    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
     with styled():
         figure.savefig(target, format=suffix, metadata=metadata)

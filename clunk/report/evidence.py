@@ -55,7 +55,7 @@ Maps = dict[str, Results]  # of Figures 3.4 and 3.7 and their variants, by the n
 
 def run_maps(coarsen: int = 1, workers: int | None = None, progress: bool | Progress = False) -> Maps:
     """Run the sweeps of `MAPS`, on 1/`coarsen` of their values an axis; progress : as of `clunk.sweep`, of each."""
-    maps: Maps = {}
+    maps = {}
     for name, (title, count, overrides) in MAPS.items():
         values = (count - 1) // coarsen + 1
         axes = _AXIS.format("load.ratio", 10.0, values) + _AXIS.format("lash.backlash_deg", 20.0, values)
@@ -118,8 +118,8 @@ class Evidence:
         """The nominal run with the contact's damping in the gap as well (report Eq. 2.5)."""
         lash, driveline = self.study.lashes[0], self.study.driveline
         damper = {"between": lash.between, "stiffness": 0.0, "damping": lash.radius**2 * (lash.contact.damping or 0.0)}
-        shafts = (*driveline.shafts, driveline.shafts[0].model_copy(update=damper))
-        damped = self.study.model_copy(update={"driveline": driveline.model_copy(update={"shafts": shafts})})
+        shafts = (*driveline.shafts, driveline.shafts[0].but(**damper))
+        damped = self.study.but(driveline=driveline.but(shafts=shafts))
         return simulate(replace_values(damped, {"lash.contact.damping": 0.0}))
 
     @cached_property

@@ -212,10 +212,10 @@ def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
         "events": dict(enumerate(EVENTS)),
         "": {},
     }
-    variables: dict[str, Variable] = {}
+    variables = {}
     for name, field, dims, long_name, coded, counts in _VARIABLES:
         values = getattr(boundaries, field)
-        attributes: dict[str, str | Array] = {"units": "1", "long_name": long_name}
+        attributes = {"units": "1", "long_name": long_name}
         attributes |= {"sample_dimension": counts} if counts else {}
         attributes |= {"lash": boundaries.lash} if boundaries.lash and name == _FIRST else {}
         variables[name] = Variable(dims, values, attributes | flags(meanings[coded], values.dtype))
@@ -223,7 +223,7 @@ def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
         for axis, values in zip(boundaries.axes, getattr(boundaries, field).T, strict=False):
             attributes = {"units": axis.unit, "long_name": axis.name}
             variables[f"{prefix}_{axis.variable}"] = Variable((dim,), np.ascontiguousarray(values), attributes)
-    numbers: dict[str, Variable] = {}
+    numbers = {}
     for each in variables.values():
         for dim, length in zip(each.dims, each.values.shape, strict=True):
             values = np.arange(1, length + 1, dtype=np.int32)
@@ -235,7 +235,7 @@ def boundaries_of(variables: Mapping[str, Variable], axes: tuple[ResultAxis, ...
     """The boundaries among some variables, None without any."""
     if _FIRST not in variables:
         return None
-    fields: dict[str, Any] = {field: variables[name].values for name, field, *_ in _VARIABLES}
+    fields = {field: variables[name].values for name, field, *_ in _VARIABLES}
     for prefix, field, _ in _PLACES:
         names = [f"{prefix}_{axis.variable}" for axis in axes]
         columns = [variables[name].values for name in names if name in variables]

@@ -158,7 +158,7 @@ class Map(Design, ABC):
         Raises ValueError where a name is not an axis, or a value lies beyond it.
         """
         names = [axis.parameter for axis in self.axes]
-        index: list[slice] = [slice(None)] * len(names)
+        index = [slice(None)] * len(names)
         for parameter, value in zip(numbered(values, self.tables), values.values(), strict=True):
             if parameter not in names:
                 raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")

@@ -255,7 +255,7 @@ def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) 
         each = (stored.chunks or stored.shape)[0]
         slabs = (slice(k, k + each) for k in range(0, len(counts), each))
         parts = [stored[rows][np.arange(most) < counts[rows][..., None]] for rows in slabs]
-        values: Array = np.concatenate(parts)
+        values = np.concatenate(parts)
     else:
         values = stored[...]
     if values.dtype.kind == "O":

@@ -38,10 +38,10 @@ def prepare_one(study: Study) -> Batch:
 def of_system(study: Study) -> Study:
     """The study without its load's torques and times, backlashes and sweep: with others it has the same system."""
     kept = {"on", "profile", WAVES.get(study.load.profile)}
-    load = study.load.model_copy(update=dict.fromkeys(study.load.model_fields_set - kept))
-    lashes = tuple(lash.model_copy(update={"backlash_deg": 0.0}) for lash in study.lashes)
+    load = study.load.but(**dict.fromkeys(study.load.model_fields_set - kept))
+    lashes = tuple(lash.but(backlash_deg=0.0) for lash in study.lashes)
     lash = lashes if isinstance(study.lash, tuple) else lashes[0]
-    return study.model_copy(update={**dict.fromkeys(NOT_OF_A_RUN), "title": "", "load": load, "lash": lash})
+    return study.but(**dict.fromkeys(NOT_OF_A_RUN), title="", load=load, lash=lash)
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:

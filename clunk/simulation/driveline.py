@@ -132,7 +132,7 @@ class Driveline:
     @cached_property
     def frictions(self) -> tuple[tuple[Friction, FloatArray], ...]:
         """The frictions, those side by side as one, each with the share that every shaft has in it, (S,)."""
-        frictions: list[tuple[Friction, FloatArray]] = []
+        frictions = []
         units = self.shafts / np.maximum(np.linalg.norm(self.shafts, axis=-1, keepdims=True), 1e-300)
         rest = self.shaft_friction.copy()
         for k in range(rest.shape[-1]):
@@ -150,7 +150,7 @@ class Driveline:
     @cached_property
     def is_spring(self) -> npt.NDArray[np.bool_]:
         """(S,) whether a shaft has a stiffness, in any stage."""
-        springs: npt.NDArray[np.bool_] = self.shaft_stiffness > 0.0
+        springs = self.shaft_stiffness > 0.0
         for k, shaft in self.staged:
             springs[..., k] = shaft.stiffness.any(axis=-1)
         return alike(springs)
@@ -174,7 +174,7 @@ class Driveline:
             stages = np.searchsorted(shaft.breakpoints, nodes)
             torques = shaft.stiffness[stages] * nodes + shaft.torques[stages]
             energy[k] = np.sign(twists[k]) * np.sum((torques[1:] + torques[:-1]) * np.diff(nodes)) / 2.0
-        return np.asarray(energy)
+        return energy
 
     @cached_property
     def rigid_motion(self) -> RigidMotion:
@@ -384,7 +384,7 @@ def _chain(
 def _tied(matrix: FloatArray, basis: FloatArray) -> FloatArray:
     """A stiffness or damping in the angles that ties leave; what they cancel is zero to the last bit."""
     across = basis.swapaxes(-1, -2)
-    tied: FloatArray = across @ matrix @ basis
+    tied = across @ matrix @ basis
     tied[np.abs(tied) <= _ROUNDING * (np.abs(across) @ np.abs(matrix) @ np.abs(basis))] = 0.0
     return tied
 
@@ -420,7 +420,7 @@ def steps_a_period(study: Study) -> float:
 
 def _across(joints: FloatArray, sizes: FloatArray) -> FloatArray:
     """(n, n) the matrix of springs or dampers, by the twists of their joints."""
-    return np.asarray((joints.swapaxes(-1, -2) * sizes[..., None, :]) @ joints)
+    return (joints.swapaxes(-1, -2) * sizes[..., None, :]) @ joints
 
 
 def _numbers(varied: Varied, places: Sequence[Place], own: Sequence[float]) -> FloatArray:

@@ -109,7 +109,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     def indented(x: Floats, sides: Integers) -> Floats:
         """(L,) what the contact of each lash stores at one of its flanks."""
         overlaps = sides * (line.lashes @ x[:n]) - half_gaps
-        return np.asarray(line.contact_stiffnesses * overlaps**2 / 2.0 * (not impulsive))
+        return line.contact_stiffnesses * overlaps**2 / 2.0 * (not impulsive)
 
     def at_event(x: Floats, lash: int, side: int) -> float:
         return float(indented(x, np.full(len(line.lashes), side))[lash])

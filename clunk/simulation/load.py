@@ -121,7 +121,7 @@ def _rows(*pieces: tuple[Numbers, ...]) -> Floats:
 WAVES = {"smooth": "duration", "lag": "time_constant", "sine": "frequency"}  # profile -> key of how fast it moves
 
 
-def wave_rates(load: Load, varied: Mapping[Place, Floats] | None = None) -> Floats | None:
+def wave_rates(load: Load, varied: Mapping[Place, Floats]) -> Floats | None:
     """The matrix S of w' = S w, (2, 2)  [1/s]; None where the profile has no wave.
 
     varied : other values of keys, of a batch; S is (D, 2, 2) then, where its key is among them
@@ -129,7 +129,7 @@ def wave_rates(load: Load, varied: Mapping[Place, Floats] | None = None) -> Floa
     if load.profile not in WAVES:
         return None
     key = WAVES[load.profile]
-    value = np.asarray((varied or {}).get(("load", key), getattr(load, key) or 0.0), np.float64)
+    value = np.asarray(varied.get(("load", key), getattr(load, key) or 0.0), np.float64)
     swing = decay = np.zeros(value.shape)
     if load.profile == "smooth":
         swing = np.pi / _divisor(value)

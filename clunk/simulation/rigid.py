@@ -99,4 +99,4 @@ def _twists(joints: Floats, speeds: Floats) -> Floats:
     """Rates of twist of joints at these speeds, without rounding."""
     twists = (joints @ speeds[..., None])[..., 0]
     twists[np.abs(twists) <= _FITS * (np.abs(joints) @ np.abs(speeds)[..., None])[..., 0]] = 0.0
-    return np.asarray(twists)
+    return twists

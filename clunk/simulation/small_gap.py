@@ -109,8 +109,7 @@ def one_mode_thresholds(study: Study, count: int = 4) -> Floats:
     """
     driveline = Driveline.from_study(study)
     lowest = np.empty(0) if driveline.staged else driveline.modes(closed=True).damping_ratio[:1]
-    levels: Floats = np.exp(2.0 * np.pi * lowest[:, None] * (np.arange(1, count + 1) - 0.5))
-    return levels.ravel()
+    return np.exp(2.0 * np.pi * lowest[:, None] * (np.arange(1, count + 1) - 0.5)).ravel()
 
 
 def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
@@ -118,8 +117,8 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
 
     Empty without a static torque across the lash or an eigenbasis to speak of, and for shafts with stages.
     """
-    contact = study.lashes[0].contact.model_copy(update={"model": "restitution"})
-    rigid = study.model_copy(update={"lash": study.lashes[0].model_copy(update={"contact": contact})})
+    contact = study.lashes[0].contact.but(model="restitution")
+    rigid = study.but(lash=study.lashes[0].but(contact=contact))
     system = build(rigid, replace(Driveline.from_study(rigid), shaft_friction=np.zeros(len(study.driveline.shafts))))
     carried = system.contact_torque[0, 0, TORQUE]
     if carried == 0.0 or len(system.steady_motion) > 1:
@@ -146,7 +145,7 @@ def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
     along = reduction.pick @ drift
     size, columns = along.shape
     pivots = np.abs(along).argmax(axis=0)
-    every: Floats = np.eye(size)
+    every = np.eye(size)
     relative = every - along / along[pivots, np.arange(columns)] @ every[pivots]
     pick = np.delete(relative, pivots, axis=0) @ reduction.pick
     return Reduction(np.delete(reduction.expand, pivots, axis=1), pick, reduction.shift)
@@ -166,7 +165,7 @@ def _extremes(rates: npt.NDArray[np.complex128], amplitudes: npt.NDArray[np.comp
     rising = np.diff(f) > 0.0
     turns = np.flatnonzero(rising[1:] != rising[:-1]) + 1
     swing = f[turns + 1] - f[turns - 1]
-    values: Floats = f[turns] - swing**2 / (8.0 * (f[turns + 1] - 2.0 * f[turns] + f[turns - 1]))
+    values = f[turns] - swing**2 / (8.0 * (f[turns + 1] - 2.0 * f[turns] + f[turns - 1]))
     return values[1:] if values.size > 1 and values[0] > values[1] else values
 
 

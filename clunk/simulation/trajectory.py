@@ -158,7 +158,7 @@ class Trajectory:
         for each in self.lashes:
             severities[each.primaries] = [_severity(severity) for severity in each.impact_severity]
         time, event, *others = _EVENT_COLUMNS
-        rows: list[tuple[str, ...]] = [(time, event, *["lash"] * several, *others)]
+        rows = [(time, event, *["lash"] * several, *others)]
         for k, row in enumerate(self.events[1:], 1):
             names = self.kind_name(k), *[self.lash_name(k)] * several, self.flank_name(k)
             rows.append((f"{row['time']:.7f}", *names, f"{row['speed']:+.6f}", severities[k]))

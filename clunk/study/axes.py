@@ -1,7 +1,5 @@
 """An axis of a sweep: a parameter, and the values that it takes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -37,10 +35,10 @@ class ResultAxis:
     symbol: str
     unit: str
     words: tuple[str, ...] = ()
-    along: tuple[ResultAxis, ...] = ()
+    along: tuple["ResultAxis", ...] = ()
 
     @property
-    def parameters(self) -> tuple[ResultAxis, ...]:
+    def parameters(self) -> tuple["ResultAxis", ...]:
         """The parameters that change along the axis: itself, or of `run` several."""
         return self.along or (self,)
 
@@ -57,7 +55,7 @@ class ResultAxis:
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self.values)} values"
 
-    def part(self, places: slice) -> ResultAxis:
+    def part(self, places: slice) -> "ResultAxis":
         """The axis at some of its places."""
         along = tuple(each.part(places) for each in self.along)
         return replace(self, values=self.values[places], words=self.words[places], along=along)

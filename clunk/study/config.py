@@ -107,7 +107,7 @@ def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] 
     preset_name, preset, findings = _preset(raw, assignments)
     document = _merged(preset, raw)
     _unwrap_lash(document)
-    file: Place = ("load", "file")
+    file = ("load", "file")
     findings += _load_trace(document, folder) if file not in assignments else []
     assigned: list[Place] = []
     for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
@@ -148,8 +148,8 @@ def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] 
 
 def _preset(raw: Document, assignments: Mapping[Place, Any]) -> tuple[str, Document, list[Finding]]:
     """Name and tables of the preset, without what the file gives in other keys; empty where there is none."""
-    place: Place = ("driveline", "preset")
-    name: Any = assignments.get(place, value_at(raw, place))
+    place = ("driveline", "preset")
+    name = assignments.get(place, value_at(raw, place))
     if name is None:
         return "", {}, []
     findings: list[Finding] = []
@@ -261,7 +261,7 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
 
     assigned : keys that were set on the command line, which no axis may sweep
     """
-    findings: list[Finding] = []
+    findings = []
     profile = str(value_at(document, ("load", "profile")) or "step")
     names, optimize = names_of(document), value_at(document, ("optimize",))
     for table, key in ((optimize, "minimize"), *((entry, "parameter") for _, entry in _entries(document))):

@@ -56,7 +56,7 @@ class Design:
     def columns(self, cells: Cells) -> dict[str, Floats]:
         """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
         values: dict[str, Floats] = {}
-        for axis, positions in zip(self.axes, np.unravel_index(cells, self.shape), strict=True):
+        for axis, positions in zip(self.axes, np.unravel_index(cells, self.shape) if self.axes else (), strict=True):
             values |= {each.parameter: each.values[positions] for each in axis.parameters}
         return values
 
@@ -120,16 +120,11 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     raise report("this set of points", problems)
 
 
-def has_tolerances(study: Study) -> bool:
-    """Whether each cell of a study is to be run for a sample of toleranced parameters."""
-    return bool(study.swept.tolerances)
-
-
 def nominal(study: Study) -> Study:
     """The study without its tolerances."""
     if study.sweep is None:
         return study
-    return study.model_copy(update={"sweep": study.sweep.model_copy(update={"tolerances": ()})})
+    return study.but(sweep=study.sweep.but(tolerances=()))
 
 
 def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
@@ -138,7 +133,7 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
         Axis(parameter=axis.parameter, values=(values[axis.parameter],)) if axis.parameter in values else axis
         for axis in study.swept.axes
     )
-    return study.model_copy(update={"sweep": study.swept.model_copy(update={"axes": axes})})
+    return study.but(sweep=study.swept.but(axes=axes))
 
 
 def unused_parameters(study: Study) -> list[str]:

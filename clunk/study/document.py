@@ -137,7 +137,7 @@ def parse_place(key: str) -> Place | None:
 
     An item may have a name instead, ``driveline.inertias[ring]``; it comes back as ``"[ring]"``.
     """
-    place: list[str | int] = []
+    place = []
     for part in _split(key, "."):
         match = _SEGMENT.fullmatch(part)
         if match is None:

@@ -175,7 +175,7 @@ def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | N
     except ValidationError as error:
         errors = [((*at, *_place(detail["loc"])), detail) for detail in error.errors(include_url=False)]
     unknown = {place: _likely_key(place) for place, detail in errors if detail["type"] == "extra_forbidden"}
-    findings: list[Finding] = []
+    findings = []
     for place, detail in errors:
         # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
         inner = [other for other, _ in errors if len(other) > len(place) and other[: len(place)] == place]

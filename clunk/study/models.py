@@ -119,7 +119,7 @@ class Shaft(Table):
     @property
     def stages(self) -> tuple[float, ...]:
         """The stiffness of each stage; of a linear shaft, its only one."""
-        stages: float | tuple[float, ...] = self.stiffness
+        stages = self.stiffness
         return stages if isinstance(stages, tuple) else (stages,)
 
 
@@ -411,7 +411,7 @@ def lash_position(name: str | int | None, names: Sequence[str]) -> int:
 def part_of(measure: Measure, config: Config) -> Part:
     """The part of the driveline that a measure is of. Raises ValueError, with what is wrong, where there is none."""
     elements = _PARTS[measure.quantity]
-    names: dict[str, Sequence[str | None]] = {
+    names = {
         "inertia": config.driveline.names or (None,) * len(config.driveline.inertias),
         "shaft": [shaft.name for shaft in config.driveline.shafts],
         "lash": config.lash_names,

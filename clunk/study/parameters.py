@@ -55,7 +55,7 @@ def names_of(document: Any) -> Names:
 
 def parameters(document: Any) -> list[str]:
     """The parameters of a document or a config, given or left out; of long lists the first."""
-    known: list[Place] = []
+    known = []
     for pattern in (pattern for pattern, key in keys().items() if key.quantity is not None):
         places: list[Place] = [()]
         for step in pattern:

@@ -75,12 +75,8 @@ class Record:
             if each.heading not in ("", SENTENCE) and not _is_empty(value) and not _is_block(value)
         ]
 
-    @property
-    def _title(self) -> str:
-        return str(getattr(self, "title", ""))
-
     def __repr__(self) -> str:
-        return as_text(f"clunk.{type(self).__name__} {self._title!r}", self.rows())
+        return as_text(f"clunk.{type(self).__name__} {getattr(self, 'title', '')!r}", self.rows())
 
 
 Row = Record | Mapping[str, Any] | tuple[str, Record | Mapping[str, Any]]
@@ -168,7 +164,7 @@ def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterato
 
 def columns_of(rows: Sequence[Row]) -> list[list[str]]:
     """Texts of a table, the headings first; what a dictionary in a row has takes columns of its own."""
-    texts: list[dict[str, str]] = []
+    texts = []
     for row in rows:
         cells: dict[str, str] = {}
         for each, value in _entries(row):
@@ -186,7 +182,7 @@ def words(value: Any, how: Told = Told()) -> str:
     """A single value for people, with its unit."""
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
-        return _joined(value, how.form)
+        return ", ".join(f"{key} = {words(item, Told(form=how.form))}" for key, item in value.items())
     if isinstance(value, list | tuple):
         return " ".join(words(item, Told(form=how.form)) for item in value)
     if value is None:
@@ -210,10 +206,6 @@ def number(value: float, form: str = ".6g") -> str:
 def fill(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> str:
     """Wrap a text to a width, by default a terminal's; its first line and the rest with these indents."""
     return textwrap.fill(text, width, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False)
-
-
-def _joined(values: Mapping[str, Any], form: str = "") -> str:
-    return ", ".join(f"{key} = {words(value, Told(form=form))}" for key, value in values.items())
 
 
 def _entries(row: Row) -> list[tuple[Told, Any]]:

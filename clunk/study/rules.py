@@ -110,7 +110,7 @@ def _stages(config: Config) -> int:
 def _limits(config: Config) -> Iterator[Finding]:
     """Require a run of at least one step, and no more steps, periods of the load and regimes than can be run."""
     step, end, frequency = config.solver.step, config.solver.end_time, config.load.frequency or 0.0
-    limits: tuple[tuple[float, float, Place, str], ...] = (
+    limits = (
         (step, end, ("solver", "step"), "a step of {:g} s is longer than the run, end_time = {:g} s"),
         (end / step, MOST_STEPS, ("solver", "step"), "a run has {:.2g} steps; at most {:g} are allowed"),
         (end * frequency, MOST_PERIODS, ("load", "frequency"), "a run has {:.2g} periods of the load; at most {:g}"),
@@ -125,9 +125,9 @@ Size = tuple[float, Place]  # a positive number, and the key that has it
 
 def _sizes(config: Config) -> Iterator[Finding]:
     """Require inertias, springs and dampers that double precision can add to one another."""
-    masses: list[Size] = [(mass, ("driveline", "inertias", k)) for k, mass in enumerate(config.driveline.inertias)]
-    springs: list[Size] = []
-    dampers: list[Size] = []
+    masses = [(mass, ("driveline", "inertias", k)) for k, mass in enumerate(config.driveline.inertias)]
+    springs = []
+    dampers = []
     for k, shaft in enumerate(config.driveline.shafts):
         at: Place = ("driveline", "shafts", k)
         for lever in (1.0, shaft.ratio**2):
@@ -170,7 +170,7 @@ def _measured(config: Config) -> Iterator[Finding]:
     names = [measure.name for measure in config.measures]
     taken = _TAKEN | {variable_of(axis.parameter) for axis in config.swept.axes}
     for k, measure in enumerate(config.measures):
-        place: Place = ("measures", k)
+        place = ("measures", k)
         if measure.name in names[:k]:
             yield (*place, "name"), f"measure {names.index(measure.name) + 1} has the name {shorten(measure.name)} too"
         if measure.name in taken or measure.name.startswith(("boundary", "junction", "region", "ring")):
@@ -194,7 +194,7 @@ def _varied(config: Config) -> Iterator[Finding]:
     for table, verb in VARIED:
         taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
         for k, entry in enumerate(getattr(getattr(config, table[0]), table[1], ())):
-            at: Place = (*table, k)
+            at = (*table, k)
             # a factor and an offset of a key act one after the other, in a fit on a value, too
             draws = getattr(entry, "draws", "value") if table != ("sweep", "samples") else "value"
             for parameter in getattr(entry, "keys", (entry.parameter,)):
@@ -311,7 +311,7 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
             for at in _extremes(config, {key: columns[key] for key in keys})
         ]
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
-    drawn: dict[str, list[Case]] = {}
+    drawn = {}
     for k, (draw, numbers) in enumerate(zip(draws, drawn_numbers(config, draws), strict=True)):
         key = draw.parameter
         around = columns.get(key, np.array([located(config, key)[2]]))

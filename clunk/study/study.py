@@ -68,7 +68,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     replaced, findings = validated(Study, document)
     if replaced is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
-    return replaced.model_copy(update={name: getattr(study, name) for name in NOT_OF_A_RUN})
+    return replaced.but(**{name: getattr(study, name) for name in NOT_OF_A_RUN})
 
 
 def content(study: Study) -> Document:

@@ -168,7 +168,7 @@ class Draw(Varied):
         u = np.clip(np.asarray(probability, np.float64), _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
         below = 0.0 if low is None else float(distribution.cdf(low))
         above = 0.0 if high is None else float(distribution.sf(high))
-        values: Floats = np.asarray(distribution.ppf(below + u * (1.0 - below - above)), np.float64)
+        values = np.asarray(distribution.ppf(below + u * (1.0 - below - above)), np.float64)
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
         return np.clip(values, low, high) if (low, high) != (None, None) else values
 

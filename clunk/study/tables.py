@@ -46,6 +46,10 @@ class Table(BaseModel):
         """Yield what is wrong between keys that are sound by themselves, at places in this table."""
         yield from ()
 
+    def but(self, **values: Any) -> Self:
+        """The table with other values of these keys, which are not looked at."""
+        return self.model_copy(update=values)
+
     @model_validator(mode="after")
     def _refuse_contradictions(self) -> Self:
         findings = tuple(self.contradictions())

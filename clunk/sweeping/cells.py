@@ -4,8 +4,6 @@ A tile has a row for each lash of each cell, a cell's rows behind one another: o
 a regime map its CELL and its impacts, of a tolerance map its TOLERANCE_CELL and its OUTCOMEs.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import time
@@ -129,7 +127,7 @@ class Grid:
         self.shared()  # goes along to other processes, so that all have its bits
         return self.__dict__ | {"_kept": {}}
 
-    def with_design(self, design: Design) -> Grid:
+    def with_design(self, design: Design) -> "Grid":
         """The cells of another design with the same parameters, run with the same drivelines."""
         self.shared()
         grid = object.__new__(type(self))
@@ -348,4 +346,4 @@ def compiling_note(*studies: Study) -> str:
 
 def warm_up(study: Study) -> None:
     """Compile the kernels of a study, or load them, before a sweep rather than in the middle of it."""
-    Grid(study.model_copy(update={"sweep": None})).run_at(np.arange(1), {}, np.zeros(1, np.uint8))
+    Grid(study.but(sweep=None)).run_at(np.arange(1), {}, np.zeros(1, np.uint8))

@@ -27,7 +27,7 @@ def shown(unit: str = "cells") -> Iterator[Progress]:
     """
     is_rewritten = in_notebook() or sys.stderr.isatty()
     stream = getattr(sys.stderr, "direct", sys.stderr)  # a command's own stderr shows control characters as text
-    first: tuple[int, float] | None = None
+    first = None
     last = time.perf_counter()
     line = ""
 

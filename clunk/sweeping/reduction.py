@@ -15,10 +15,10 @@ import numpy as np
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, label_order
-from clunk.results.maps import Results
-from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
-from clunk.study.arrays import Array, Bools, Cells, LabelCodes, Records
+from clunk.results.maps import Results, quantities_of_config
+from clunk.study.arrays import Array, Cells, LabelCodes, Records
 from clunk.study.axes import lash_axis
+from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.cells import Grid, Tile
@@ -78,9 +78,9 @@ class Reduction:
         self.grid, self.study, self.design = grid, grid.study, grid.design
         names, axes = self.study.lash_names, self.design.axes
         self.axes = (*axes, lash_axis(names)) if len(names) > 1 else axes
-        self.shape = tuple(len(axis.values) for axis in self.axes)
+        self.shape = Design(self.axes).shape
         self.rows = self.design.cells * grid.layout.lashes
-        self.known: Bools = np.zeros(self.design.cells, bool)
+        self.known = np.zeros(self.design.cells, bool)
         self.done = 0
         self._records = _columns(self.rows, grid.layout.record)
         self._details: list[tuple[Cells, Records]] = []  # rows, and the details of these behind one another
@@ -143,10 +143,9 @@ def heading_of(study: Study) -> dict[str, Any]:
 def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
     """The map of the tiles of a `Grid`, with these attributes."""
     records, impacts = reduction.collected()
-    (labels, codes), study = labels_of(records, impacts), reduction.study
-    measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
+    (labels, codes), heading = labels_of(records, impacts), heading_of(reduction.study)
     columns, arrays = {**records, "sequence": codes}, {}
-    for name, quantity in (REGIME_QUANTITIES | measured).items():
+    for name, quantity in quantities_of_config(heading["config"]).items():
         column = impacts[name.removeprefix("impact_")] if quantity.dimension else columns[name].reshape(reduction.shape)
         arrays[name] = column.astype(quantity.dtype, copy=False)
-    return Results(axes=reduction.axes, **heading_of(study), labels=labels, arrays=arrays, attributes=attributes)
+    return Results(axes=reduction.axes, **heading, labels=labels, arrays=arrays, attributes=attributes)

@@ -56,7 +56,7 @@ class Runner:
     def __init__(
         self, study: Study, keys: Sequence[str], *, workers: int | None = None, engine: Executor | None = None
     ) -> None:
-        self.study = study.model_copy(update=dict.fromkeys(NOT_OF_A_RUN))
+        self.study = study.but(**dict.fromkeys(NOT_OF_A_RUN))
         self.keys = distinct(study, keys)
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
         self._engine, self._workers = engine, workers

@@ -13,7 +13,7 @@ from clunk.results.maps import AnyMap, Results
 from clunk.results.netcdf import StoreError
 from clunk.results.store import read_map, write_results
 from clunk.simulation.driveline import explained
-from clunk.study.designs import Design, design_of, has_tolerances
+from clunk.study.designs import Design, design_of
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError
 from clunk.study.records import counted
@@ -66,7 +66,7 @@ class Job:
         self.directory, self.path, self.held = directory, path, held
         self.ran, self.seconds = 0, 0.0
         self._say = say or (lambda _text: None)
-        self.parts: Parts | None = None
+        self.parts = None
         if held is None:
             self._reduction = self._empty()
             if directory is not None:
@@ -78,7 +78,7 @@ class Job:
             raise ClunkError(_NO_SWEEP)
         lashes = len(self.study.lashes)
         _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
-        if not has_tolerances(self.study):
+        if not self.study.swept.tolerances:
             return Reduction(Grid(self.study, self.design))
         if self.study.measured:
             raise ClunkError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
@@ -155,7 +155,7 @@ class Job:
                 )
             raise
         make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
-        result: AnyMap = make(reduction, provenance(engine))
+        result = make(reduction, provenance(engine))
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         return result
 
@@ -256,7 +256,7 @@ def sweep(
 
     Parameters and errors are those of `Job` and `Job.run`; ClunkError, too, where the study has tolerances.
     """
-    if has_tolerances(study):
+    if study.swept.tolerances:
         raise ClunkError(HAS_TOLERANCES)
     results = Job(study, design).run(engine, workers=workers, progress=progress)
     assert isinstance(results, Results)

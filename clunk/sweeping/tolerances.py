@@ -51,7 +51,7 @@ class SampleGrid(Grid):
         self._tolerances = study.swept.tolerances
         keys = dict.fromkeys(axis.parameter for axis in self.design.parameters)
         keys |= dict.fromkeys(draw.parameter for draw in self._tolerances)
-        alone = study.model_copy(update={"sweep": None})
+        alone = study.but(sweep=None)
         self._of_runs = Grid(alone, along_run((key, np.zeros(1)) for key in keys))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.swept.sampling.count
