@@ -121,6 +121,21 @@ def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Ex
     assert "No change of a measured value alone" in fitted.missed[0].reason
 
 
+def test_values_in_another_unit_are_not_met_and_the_fit_says_so(measured: Experiment) -> None:
+    """Times in s: all are met, and none of tenths of them."""
+    priors = study_of(GAP, PRIOR.format("driveline.inertias[4]", "factor", 0.7, 1.6))
+    fitted = clunk.fit(priors, measured)
+    assert fitted.met_impacts == [{"quantity": "impact_time", "measured": 8, "met": 8}]
+    assert not any("impact_time" in each for each in fitted.warnings)
+    others = tuple(
+        replace(each, impacts={"impact_time": {0: each.impacts["impact_time"][0] / 10}})
+        for each in measured.measurements
+    )
+    wrong = clunk.fit(priors, replace(measured, measurements=others))
+    assert wrong.met_impacts == [{"quantity": "impact_time", "measured": 8, "met": 0}]
+    assert any("0 of 8 values of impact_time" in each and "in s?" in each for each in wrong.warnings)
+
+
 def test_a_fit_does_not_change_the_digest_of_a_sweep() -> None:
     assert digest(study_of(GAP)) == digest(study_from_text(RIG))
 
@@ -128,6 +143,7 @@ def test_a_fit_does_not_change_the_digest_of_a_sweep() -> None:
 HEADER = "load_ratio,lash_backlash_deg,label"
 CSV = HEADER + "\n2,3,SS(1)\n5,6,DS(1)SS(1)\n"
 SPEED = HEADER + ",impact_closing_speed_{0},impact_closing_speed_std\n2,3,SS(1),1,{1}\n5,6,SS(1),,\n"
+TIMES = HEADER + ",impact_time_1,impact_time_2,impact_time_std\n2,3,SS(1),{},,1\n5,6,DS(1)SS(1),{},{},1\n"
 SEVERITY = HEADER + ",impact_severity_1,impact_severity_std\n2,3,SS(1),1,1\n5,6,SS(1),1,1\n"
 
 
@@ -138,6 +154,8 @@ SEVERITY = HEADER + ",impact_severity_1,impact_severity_std\n2,3,SS(1),1,1\n5,6,
         (GAP, CSV.replace("SS(1)\n5", "CR(2)\n5"), "line 2: no sequence of impacts has the label CR(2)"),
         (GAP, HEADER + "\n2,3,SS(1)\n", "has one measurement"),
         (GAP, SPEED.format(2, 1), "impact_closing_speed_2 is given, and SS(1) has 1 primary impact"),
+        (GAP, TIMES.format(0.1, 0.2, 0.1), "line 3: of two impacts the later one has the smaller impact_time"),
+        (GAP, TIMES.format(119, 0.1, 0.2), "line 2: an impact_time is greater than solver.end_time, 1 s"),
         (GAP, SPEED.format(1, ""), "without its standard deviation"),
         (GAP, CSV.replace("load_ratio", "load_initial_torque"), "the load is given by"),
         (GAP, CSV.replace("load_ratio", "load_ratoi"), "did you mean load_ratio?"),

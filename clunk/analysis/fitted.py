@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.measurements import Experiment
+from clunk.analysis.measurements import IMPACT_QUANTITIES, Experiment
 from clunk.core.sequence import INITIAL
 from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
 from clunk.results.maps import Results
+from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.study.arrays import Bools, Codes, Floats, Positions, Records
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
@@ -27,6 +28,7 @@ from clunk.study.sweeps import Axis, Draw, Sweep
 from clunk.sweeping.sweep import sweep
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
+FAR = 4.0  # standard deviations: a measured value that is further off is not met
 _PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
 _COUNT = 81  # values of a map's axis
 _BEYOND = 0.15  # of the measured span, on either side of it
@@ -170,6 +172,16 @@ class Fitted(Record):
         return self.hits(self.nominal_matches["label"])
 
     @property
+    @tells("values of impacts, and how many the best candidate meets", key="impacts")
+    def met_impacts(self) -> list[dict[str, Any]]:
+        """How many values of each measured quantity there are, and how many are no further off than `FAR`."""
+        rows, each = [], self.experiment.measurements
+        for name, far in zip(IMPACT_QUANTITIES, self.estimate_matches["far"].sum(axis=0).tolist(), strict=True):
+            if count := sum(len(measurement.impacts.get(name, ())) for measurement in each):
+                rows.append({"quantity": name, "measured": count, "met": count - far})
+        return rows
+
+    @property
     @tells("parameters", key="parameters")
     def estimates(self) -> list[Estimate]:
         """Each parameter's estimate and intervals."""
@@ -271,6 +283,13 @@ class Fitted(Record):
                 f"The ensemble is worth {self.effective:.0f} draws, not {self.fit.effective_draws}: its intervals are "
                 "rough; raise fit.draws."
             )
+        for each in self.met_impacts:
+            name, count, met = each.values()
+            if 2 * met < count:
+                sentences.append(
+                    f"The best candidate meets {met} of {count} values of {name}, within {FAR:g} standard deviations: "
+                    f"are they in {REGIME_QUANTITIES[name].unit_symbol}?"
+                )
         if self.failed:
             sentences.append(f"{self.failed:,} candidates failed at some operating points, which count as missed.")
         return sentences

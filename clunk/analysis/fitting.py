@@ -21,8 +21,8 @@ from itertools import product
 
 import numpy as np
 
-from clunk.analysis.fitted import Fitted, effective_size, losses, weights_of
-from clunk.analysis.measurements import Experiment, read_experiment
+from clunk.analysis.fitted import FAR, Fitted, effective_size, losses, weights_of
+from clunk.analysis.measurements import IMPACT_QUANTITIES, Experiment, read_experiment
 from clunk.core.sequence import label
 from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
 from clunk.results.maps import Results
@@ -41,8 +41,17 @@ from clunk.sweeping.sweep import engine_of
 
 # A candidate's run at a measured operating point: the code of its label (-1: failed), the distance to the measured
 # label, the number of the measured value and the signed change of its logarithm that bring this about (0: none does),
-# and the misfit of the impacts' measured quantities.
-MATCH = np.dtype([("label", "i8"), ("distance", "f8"), ("axis", "i8"), ("change", "f8"), ("misfit", "f8")])
+# the misfit of the impacts' measured quantities, and of each of these how many values are further off than `FAR`.
+MATCH = np.dtype(
+    [
+        ("label", "i8"),
+        ("distance", "f8"),
+        ("axis", "i8"),
+        ("change", "f8"),
+        ("misfit", "f8"),
+        ("far", "i8", len(IMPACT_QUANTITIES)),
+    ]
+)
 
 _CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, either way
 _TOGETHER = 40_000  # measured values of candidates that are run together, each with all of its changes
@@ -108,7 +117,7 @@ class Candidates:
         matches = np.zeros((len(numbers), len(self.points)), MATCH)
         flat, (candidate, point) = matches.reshape(-1), np.indices(matches.shape).reshape(2, -1)
         flat["label"], results = self._run(runner, numbers[candidate], self.points[point])
-        flat["misfit"] = self._misfits(point, flat["label"], results)
+        self._compare_impacts(flat, point, results)
         missed = np.flatnonzero(flat["label"] != self.wanted[point])
         if missed.size:
             flat[missed] = self._look_around(runner, flat[missed], numbers[candidate[missed]], point[missed])
@@ -147,9 +156,9 @@ class Candidates:
         codes = np.array([*map(self.labels.index, results.labels), FAILED_CODE])  # of a failed run, -1, the last
         return codes[results.sequence], results
 
-    def _misfits(self, point: Positions, codes: Codes, results: Results) -> Floats:
-        """Misfit of the impacts' quantities in runs: minus the logarithm of their relative likelihood."""
-        misfits = np.zeros(point.size)
+    def _compare_impacts(self, matches: Records, point: Positions, results: Results) -> None:
+        """Set the misfit of the impacts' quantities in runs: minus the logarithm of their relative likelihood."""
+        codes = matches["label"]
         for at, measurement in enumerate(self.experiment.measurements):
             for code in np.unique(codes[point == at]).tolist() if measurement.impacts else ():
                 runs = np.flatnonzero((point == at) & (codes == code))
@@ -159,8 +168,9 @@ class Candidates:
                         computed: Floats | float = 0.0
                         if number in partner:
                             computed = results.values(name)[results.first_impact[runs] + partner[number]]
-                        misfits[runs] += outlier_misfit((value - computed) / measurement.std[name])
-        return misfits
+                        off = (value - computed) / measurement.std[name]
+                        matches["misfit"][runs] += outlier_misfit(off)
+                        matches["far"][runs, IMPACT_QUANTITIES.index(name)] += np.abs(off) > FAR
 
     def _edits(self, wanted: Codes, codes: Codes) -> Floats:
         """Number of impacts too many or too few of runs for some labels; of a failed run, of all."""
@@ -178,7 +188,7 @@ def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
     known = {variable_of(name): key for name, key in spellings(study.model_dump(exclude_none=True)).items()}
     for column in experiment.columns:
         if column not in known:
-            hint = f"; did you mean {likely}?" if (likely := nearest(column, known)) else "."
+            hint = f"; did you mean {likely}?" if (likely := nearest(column, (*known, "impact_time_1"))) else "."
             raise ClunkError(f"The column {shorten(column)} of {experiment.name} is no parameter of this config{hint}")
     return tuple(dotted(located(study, known[column])[0]) for column in experiment.columns)
 
@@ -380,6 +390,11 @@ def check(study: Study, experiment: Experiment) -> None:
     if has_severity and study.lashes[0].contact.model == "restitution":
         raise ClunkError("impact_severity is not defined for the restitution model; impact_closing_speed is.")
     for measurement in experiment.measurements:
+        if max(measurement.impacts.get("impact_time", {}).values(), default=0.0) > study.solver.end_time:
+            raise ClunkError(
+                f"{experiment.name}, line {measurement.line}: an impact_time is greater than solver.end_time, "
+                f"{study.solver.end_time:g} s."
+            )
         for (axis, measured), share in product(zip(axes, measurement.values, strict=True), (0.0, 1.0)):
             value = measured
             for prior in study.fit.parameters:

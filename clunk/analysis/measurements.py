@@ -167,6 +167,9 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
             raise ClunkError(f"{where}: {column} is given, and {label} has {counted(count, 'primary impact')}.")
         else:
             impacts[quantity][int(number) - 1] = value
+    times = [time for _, time in sorted(impacts.get("impact_time", {}).items())]
+    if times != sorted(times):
+        raise ClunkError(f"{where}: of two impacts the later one has the smaller impact_time.")
     for quantity in impacts.keys() - std.keys():
         raise ClunkError(f"{where}: {quantity} is given without its standard deviation, {quantity}_std.")
     return Measurement(line, tuple(values), label, dict(impacts), std)
