@@ -55,6 +55,17 @@ def test_sweep_plot_and_info_work_on_a_small_grid(command, small, here):
     assert all((here / name).stat().st_size > 10_000 for name in out.split())
 
 
+def test_a_results_file_stands_for_its_config(command, small):
+    command("sweep", small, "-o", "small.h5")
+    words = "--along", "load.ratio", "--at", "lash.backlash_deg=8"
+    code, out, _ = command("thresholds", "small.h5", *words)
+    assert code == 0
+    assert out == command("thresholds", small, *words)[1]
+    code, _, err = command("sweep", "small.h5", "-o", "small.h5")
+    assert code == 2
+    assert "is what the command reads" in err
+
+
 @pytest.mark.parametrize(
     "words", [("sweep", "small.toml", "-o"), ("info",), ("plot",), ("init",), ("simulate", "small.toml", "-o")]
 )

@@ -15,6 +15,7 @@ from clunk.analysis import optimisation
 from clunk.analysis.optimisation import Problem, front, optimize
 from clunk.cli import cli
 from clunk.study.config import load_study, study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.records import text_of
 from clunk.study.study import to_toml
 
@@ -123,6 +124,17 @@ def test_conditions_that_nothing_meets_are_said_and_the_nearest_is_given(brief):
     best = optimize(damped_ramp(subject_to=["label=DS(3)SS(2)"]))
     assert not best.holds
     assert text_of(best).startswith("No values were found for which all conditions hold; these come nearest.")
+
+
+def test_a_script_sees_that_conditions_do_not_hold(brief, tmp_path):
+    config, nearest = tmp_path / "ramp.toml", tmp_path / "nearest.toml"
+    config.write_text(to_toml(damped_ramp(subject_to=["label=DS(3)SS(2)"])))
+    result = CliRunner().invoke(cli, ["optimize", str(config), "--json", "-o", str(nearest)])
+    assert result.exit_code == 4, result.output
+    assert json.loads(result.stdout)["holds"] is False
+    assert load_study(nearest).load.duration == json.loads(result.stdout)["parameters"]["load.duration"]
+    with pytest.raises(ClunkError, match="nothing to trade"):
+        optimisation.front(load_study(config), "severity")
 
 
 TOLERANCES = """

@@ -140,7 +140,7 @@ def test_failed_runs_are_an_outcome_and_not_invented():
 @pytest.mark.parametrize(
     ("text", "along", "of", "message"),
     [
-        (RATIO, "load.raito", "label", r"\"load.raito\" is no axis.*did you mean load.ratio"),
+        (RATIO, "load.raito", "label", r"\"load.raito\" is none of the.*did you mean load.ratio"),
         ("", "load.ratio", "label", "needs .*sweep.axes"),
         (RATIO, "load.ratio", "lable", "no quantity.*did you mean label"),
         (RATIO, "load.ratio", "severity", "changes everywhere; give a bound"),

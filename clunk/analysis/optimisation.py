@@ -300,8 +300,12 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
     """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
 
     quantity : a number, such as severity; options : as of `optimize`
+
+    Raises ClunkError where no values are found for which all conditions hold.
     """
     table, best = _table(study), optimize(study, shown=quantity, **options)
+    if not best.holds:
+        raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
     points = [best]
     for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
         bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))

@@ -46,7 +46,7 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
-from clunk.study.parameters import drawn_numbers, numbered, with_draws
+from clunk.study.parameters import drawn_numbers, numbered, spellings, with_draws
 from clunk.study.records import as_text
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
@@ -288,9 +288,9 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     names = [axis.parameter for axis in axes]
     (along,) = numbered([along], study)
     if along not in names:
-        likely = nearest(along, names)
+        likely = None if along in spellings(study).values() else nearest(along, names)
         hint = f"; did you mean {likely}?" if likely else "."
-        raise ClunkError(f"{shorten(along)} is no axis of the config; its axes are {listing(names)}{hint}")
+        raise ClunkError(f"{shorten(along)} is none of the config's [[sweep.axes]], {listing(names)}{hint}")
     axis = axes[names.index(along)]
     check_axis(study, axis, "thresholds")
     draws = np.arange(1.0, study.swept.sampling.count + 1.0)

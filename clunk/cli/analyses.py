@@ -12,6 +12,7 @@ import click
 from clunk.cli import completion, tables, terminal
 from clunk.cli.options import (
     EXIT_FAILED_CELLS,
+    EXIT_MISMATCH,
     PATH,
     at_option,
     cell_values,
@@ -137,6 +138,8 @@ def optimize(
                 [sample(simulate(each.but(sweep=None)), name=name) for name, each in runs.items()]
             )
         terminal.save_picture(figure, picture)
+    if not all(best.holds for best in points):
+        sys.exit(EXIT_MISMATCH)
 
 
 @click.command()

@@ -36,15 +36,13 @@ set_option = click.option(
 
 
 def study_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the argument CONFIG and the option --set, as the study that they make."""
+    """Give a command the argument CONFIG, or a results file, and the option --set, as the study that they make."""
 
     @click.argument("config", type=PATH)
     @set_option
     @functools.wraps(command)
     def with_study(config: Path, overrides: tuple[str, ...], **options: Any) -> None:
-        from clunk.study.config import load_study
-
-        command(config=config, study=load_study(config, overrides), **options)
+        command(config=config, study=study_of(config, overrides), **options)
 
     return with_study
 
