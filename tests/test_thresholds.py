@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,7 @@ import clunk
 from clunk.analysis import thresholds as analysis
 from clunk.analysis.search import POINT, TOLERANCE, PointRuns, narrow
 from clunk.analysis.thresholds import thresholds
+from clunk.cli.analyses import print_thresholds
 from clunk.plot.analyses import threshold_figure
 from clunk.plot.style import PlotError
 from clunk.results.labels import FAILED, FAILED_CODE
@@ -198,6 +200,23 @@ def test_where_the_label_changes_too_often_the_place_is_told(monkeypatch):
     assert not every.unresolved
     assert every.value.size > 1
     assert ((begin <= every.value) & (every.value <= end)).all()
+
+
+def test_each_place_lies_between_two_values_of_the_axis_and_is_printed_with_the_digits_known(monkeypatch, capsys):
+    monkeypatch.setattr(analysis, "_MOST", 1)
+    few = thresholds(study(axis("load.ratio", 0.0, 10.0, 3), of=RAMP[1:]), along="load.ratio")
+    assert len(few.unresolved) > 1
+    for _, begin, end in few.unresolved:
+        assert end - begin <= 5.0
+        assert begin // 5.0 == np.nextafter(end, 0.0) // 5.0
+    print_thresholds(few)
+    wide = few.value[few.off > 1e-3]
+    assert wide.size
+    printed = re.findall(r"^ +(\d[\d.]*) ", capsys.readouterr().out, flags=re.MULTILINE)
+    for value, off, text in zip(few.value, few.off, printed, strict=True):
+        digits = len(text.partition(".")[2])
+        assert abs(float(text) - value) <= 0.5 * 10.0**-digits
+        assert 10.0**-digits >= 1e-3 * off
 
 
 @pytest.fixture

@@ -119,12 +119,17 @@ class Thresholds:
 
     @property
     def unresolved(self) -> list[tuple[int, float, float]]:
-        """Places at which the outcome changes too often to be followed: the cell, and where they begin and end."""
+        """Places at which the outcome changes too often to be followed: the cell, and where they begin and end.
+
+        One between two neighbouring values of the axis at most.
+        """
         fails = (self.below == FAILED_CODE) | (self.above == FAILED_CODE)
         wide = self.off > np.where(fails, OFF_FAILURES, TOLERANCE) * np.ptp(self.along.values)
         begins, ends = self.value - self.off, self.value + self.off
-        rows = [(cell, wide & (self.cell == cell)) for cell in np.unique(self.cell[wide]).tolist()]
-        return [(cell, float(begins[row].min()), float(ends[row].max())) for cell, row in rows]
+        at = np.stack([self.cell, np.searchsorted(self.along.values, self.value)])
+        places = np.unique(at[:, wide], axis=1).T
+        rows = [wide & (place == at.T).all(axis=1) for place in places]
+        return [(int(cell), begins[row].min(), ends[row].max()) for (cell, _), row in zip(places, rows, strict=True)]
 
     def intervals(self, cell: int) -> list[tuple[float, float, int]]:
         """The intervals of the axis with one outcome each in a cell, ascending: begin, end and code."""

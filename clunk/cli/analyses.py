@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -318,8 +319,11 @@ def print_thresholds(result: Thresholds) -> None:
     what = f"{'whether ' if result.outcome.type == YES_NO else ''}{result.outcome.heading_with_unit}"
     what += f" of {result.lash}" if result.lash else ""
     click.echo(fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
-    rows = result.rows()
+    rows, offs = result.rows(), iter(result.off.tolist())
     for row in rows:
-        value = row[along.parameter]
-        row[along.parameter] = "-" if value is None else f"{value:.10g}"
+        value, text = row[along.parameter], "-"
+        if value is not None:  # with the digits that are known
+            share = max(next(offs) / abs(value or math.inf), 1e-9)
+            text = f"{value:.{max(1 - math.floor(math.log10(share)), 1)}g}"
+        row[along.parameter] = text
     tables.print_table(rows)
