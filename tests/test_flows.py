@@ -55,6 +55,18 @@ def find_first_zero(c, part, results):
     return crosses
 
 
+def test_a_decay_much_faster_than_what_lasts_is_alone_in_its_pair():
+    """A stiff damper makes one of 4e5/s, and beside it one of 0.08/s, which would be bounded by the rate of both."""
+    plant = reference.boere(5.0, 6.0)
+    first, second, *others = plant.shafts
+    _, flows = driveline.prepare(reference.study_of(replace(plant, shafts=(first, (*second[:3], 400.0), *others))))
+    assert flows.modal.all()
+    rates = np.abs(np.diagonal(flows.generator, axis1=-2, axis2=-1)).reshape(-1, 2, PAIRS)
+    slower, faster = rates.min(axis=1), rates.max(axis=1)
+    assert (faster[slower > 0.0] < 1e3 * slower[slower > 0.0]).all()
+    assert faster.max() > 1e3 * slower[slower > 0.0].min()
+
+
 def sizes(y):
     """(…, C/2, W): the amplitude of each pair."""
     halves = y.reshape(*y.shape[:-2], -1, 2, PAIRS, y.shape[-1])

@@ -1,10 +1,12 @@
 """A history is the run itself between its events: the physics holds in every row, and files read back equal."""
 
 import functools
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.reference import Plant
+from helpers.studies import random_study
 
 from clunk.plot import PlotError, histories
 from clunk.plot.histories import small_gap
@@ -12,11 +14,12 @@ from clunk.results.export import save_history
 from clunk.simulation.history import sample
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import study_from_text
+from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 
 PRESET = '[driveline]\npreset = "boere-2008"\n'
+CONFIGS = Path(__file__).parents[1] / "configs"
 MODELS = ("gap", "force", "restitution")
 INERTIA = np.array([0.024, 0.002, 0.002, 0.002])
 RADIUS, HALF_GAP = 0.08, np.deg2rad(6.0) / 2
@@ -248,3 +251,24 @@ def test_small_gap_response_swings_within_its_envelope(model):
     (ax,) = small_gap_of(nominal(model)).axes
     (crossing,) = [line for line in ax.lines if line.get_gid() == "tc"]
     assert crossing.get_xdata()[0] == pytest.approx(0.1 + np.log(5.0) / response.decay)
+
+
+@pytest.mark.parametrize("name", ["rig_with_friction", 8103, 8112])
+def test_where_friction_yields_at_a_touch_no_row_is_of_a_regime_that_lasts_no_time(name):
+    """At an event there are the state just before and just after; accelerations are within the windows' extremes."""
+    study = random_study(name) if isinstance(name, int) else load_study(CONFIGS / f"{name}.toml")
+    trajectory = simulate(study.but(sweep=None))
+    history = sample(trajectory)
+    at_once = [np.count_nonzero(history.after_step == time) for time in np.unique(trajectory.events["time"])]
+    assert max(at_once) == 2
+    assert np.array_equal(history.event[history.event >= 0], np.arange(trajectory.events.size))
+    for each in history.lashes:
+        acceleration = each.acceleration[:, each.watched - 1]
+        for impact in each.impacts:
+            within = (history.time > impact.begin) & (history.time < impact.end)
+            scale = 1e-9 * (abs(impact.largest) + abs(impact.smallest))
+            assert acceleration[within].max(initial=-np.inf) <= impact.largest + scale
+            assert acceleration[within].min(initial=np.inf) >= impact.smallest - scale
+            first = acceleration[(history.time == impact.begin) & (history.event >= 0)]
+            assert impact.smallest - scale <= first.min()
+            assert first.max() <= impact.largest + scale

@@ -14,6 +14,7 @@ import clunk
 from clunk.analysis import optimisation
 from clunk.analysis.optimisation import Problem, front, optimize
 from clunk.cli import cli
+from clunk.results.quantities import quantity_of
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.records import text_of
@@ -123,7 +124,26 @@ def test_an_interrupted_search_hands_over_the_best_so_far(brief, monkeypatch):
 def test_conditions_that_nothing_meets_are_said_and_the_nearest_is_given(brief):
     best = optimize(damped_ramp(subject_to=["label=DS(3)SS(2)"]))
     assert not best.holds
-    assert text_of(best).startswith("No values were found for which all conditions hold; these come nearest.")
+    sentence = "No values were found for which all conditions hold and no run fails; these come nearest."
+    assert " ".join(text_of(best).split()).startswith(sentence)
+
+
+@pytest.mark.parametrize(
+    ("minimize", "condition", "start"),
+    [("last_event_time", "primary_impacts>=1", "load.duration=0.3"), ("severity", "touches>=2", "solver.max_events=8")],
+)
+def test_what_is_found_does_not_depend_on_the_run_of_the_config_as_it_is(brief, minimize, condition, start):
+    """As it is nothing happens, or the run fails: what is minimised has then no size that others are measured by."""
+    text = to_toml(damped_ramp(minimize, [condition], longest=0.3)).replace("ratio = 3.0", "ratio = 5.0")
+    best = optimize(study_from_text(text, overrides=[start]))
+    first, second = (each for each in study_from_text(text).optimize.parameters)
+    swept = np.linspace(first.low, first.high, 301)
+    points = {"load.duration": swept, "lash.contact.damping": np.full(301, second.high)}
+    runs = clunk.run_points(study_from_text(text, overrides=[start]), points)
+    meets = quantity_of(condition, best.study).of_runs(runs) == 1.0
+    assert meets.any()
+    assert best.holds
+    assert best.value <= runs.values(minimize)[meets].min()
 
 
 def test_a_script_sees_that_conditions_do_not_hold(brief, tmp_path):

@@ -48,7 +48,7 @@ class Optimum(Record):
     share : of the drivelines in which the conditions hold; None without tolerances
     found : how many of the starts found this value
     runs : how many it took
-    holds : whether all conditions do
+    holds : whether all conditions do, and no run fails
     changes : the free numbers and the quantities, as the config has them and of the best
     """
 
@@ -67,7 +67,8 @@ class Optimum(Record):
     @tells(SENTENCE)
     def sentence(self) -> str:
         """What to know where not all conditions hold."""
-        return "" if self.holds else "No values were found for which all conditions hold; these come nearest."
+        nearest = "No values were found for which all conditions hold and no run fails; these come nearest."
+        return "" if self.holds else nearest
 
 
 @dataclass(frozen=True, repr=False)
@@ -153,7 +154,7 @@ class Problem:
         values = [nominal_value(study, each.keys[0]) for each in free]
         self.start = np.where(np.isnan(values), 0.5 * (self.low + self.high), values)
         self.before = self(self.start[None])
-        self._size = abs(float(self.before.value[0])) or 1.0
+        self.size = abs(float(self.before.value[0])) or 1.0
 
     @property
     def most(self) -> int:
@@ -186,7 +187,7 @@ class Problem:
             lacks += lacking
             quantities[condition.name] = (lacking == 0.0).all(axis=1)
         for quantity in self._numbers:
-            numbers = worst(quantity.of_runs(results).astype(np.float64))
+            numbers = worst(quantity.compared(results).astype(np.float64))
             quantities[quantity.name] = numbers.max(axis=1)
         if self._key is not None:
             numbers = np.tile(candidates[:, self._key, None], shape[2])
@@ -207,7 +208,7 @@ class Problem:
 
     def merit(self, outcomes: Outcomes) -> Floats:
         """What the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""
-        value = np.nan_to_num(outcomes.value / self._size, posinf=1e300)
+        value = np.minimum(outcomes.value / self.size, 1e300)
         return np.where(outcomes.excess > 0.0, 1.0 + outcomes.excess, value / (1.0 + np.abs(value)) - 1e-9)
 
     def _columns(self, candidates: Floats, shape: tuple[int, ...]) -> dict[str, Floats]:
@@ -286,7 +287,10 @@ def optimize(
     with reporting(progress, problem.most, problem.study, what="runs at most") as problem.progress:
         try:
             points = _explored(problem)
-            merits = problem.merit(problem(points))
+            outcomes = problem(points)
+            if not math.isfinite(problem.size):  # the config as it is fails
+                problem.size = float(np.median(np.abs(np.nan_to_num(outcomes.value, posinf=1.0)))) or 1.0
+            merits = problem.merit(outcomes)
             for start in range(_STARTS):
                 found.append(_searched(problem, points, merits, np.random.default_rng([problem.optimize.seed, start])))
         except KeyboardInterrupt as stopped:
@@ -362,7 +366,7 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
         share=float(outcomes.share[k]) if problem.shape[1] > 1 else None,
         found=int((merits <= merits[k] + _SAME).sum()),
         runs=problem.runs,
-        holds=bool(outcomes.excess[k] == 0.0),
+        holds=bool(outcomes.excess[k] == 0.0 and np.isfinite(outcomes.value[k])),
         changes=tuple(
             {"": name, "as it is": before[name], "best": best} for name, best in (parameters | quantities).items()
         ),

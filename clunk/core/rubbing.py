@@ -133,7 +133,7 @@ def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
     """Whether a regime goes on, as what sticks in it, and some locked lashes, as bits, tell; see `choose_states`."""
     sticking = _sticking_in(at.system, regime)
     has_excess = at.system.excess[at.system.regimes[regime].flow] != 0
-    return bool(not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= _WITHIN)
+    return not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= _WITHIN
 
 
 @inlined_part

@@ -26,6 +26,7 @@ _OK = int(Status.OK)
 _NO_EQUILIBRIUM = int(Status.NO_EQUILIBRIUM)
 _NO_INITIAL_FLANK = int(Status.NO_INITIAL_FLANK)
 _WITHIN = 1e-11  # of its terms: the steady twist of a staged shaft this little beyond a breakpoint is at it
+FASTEST = 1e7  # rad/s, of a part in steady motion: beside such a speed the digits of twists are lost
 MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what has more truly runs away
 
 
@@ -62,12 +63,14 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
             closed, presses = closed and contact.closed != 0, presses and contact.side * torque > 0.0
         if not closed or (not presses and status == _NO_INITIAL_FLANK):
             continue
+        fastest = 0.0
         for k in range(x.size):
             x[k] = _of_inputs(system, regime, system.steady_motion[stage, k], inputs)
+            fastest = max(fastest, abs(x[k])) if k >= system.inertias else 0.0
         is_in_stage, is_beside_loose = _is_in_stage(system, regime, x)
         if not is_in_stage:
             continue
-        if is_beside_loose:
+        if is_beside_loose or fastest > FASTEST:
             return _NO_EQUILIBRIUM, OPEN
         if presses:
             return _OK, regime
@@ -143,7 +146,7 @@ def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
         most += 2 * (system.lash_count - 1)
     if system.friction_count > 0:  # one of them may begin to slip
         most += 1
-    return bool(count + most <= log.events.size and stages <= MOST_STAGES)
+    return count + most <= log.events.size and stages <= MOST_STAGES
 
 
 @inlined_part

@@ -285,7 +285,7 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
         cell.touches = 0
         cell.initial_side = system.contacts[regime, lash].side if status == _OK else 0
         cell.status = status
-    return int(regime)
+    return regime
 
 
 @part

@@ -146,8 +146,7 @@ class Quantity:
         """The quantity in each cell of a map, in the map's shape.
 
         A number as float64, NaN where it is not defined; what holds or not as 1 and 0, of a tolerance map as its
-        probability. In cells that failed both are NaN. Labels are texts, there ``failed``. Where nothing happens no
-        event is later than the load step: in a relation the time of the last counts as 0.
+        probability. In cells that failed both are NaN. Labels are texts, there ``failed``.
         """
         if self.type == TEXT:
             return results.label_map
@@ -159,10 +158,15 @@ class Quantity:
             return np.where(sequence == FAILED_CODE, np.nan, holds)
         if self.base is None:
             return results.numbers(self.name)
-        numbers = self.base.of_runs(results)
-        if self.base.name == "last_event_time":
-            numbers = np.where(sequence == FAILED_CODE, np.nan, np.nan_to_num(numbers))
+        numbers = self.base.compared(results)
         return np.where(np.isnan(numbers), np.nan, _RELATIONS[self.relation][0](numbers, self.bound))
+
+    def compared(self, results: AnyMap) -> Array:
+        """The quantity as runs are compared by it: where nothing happens, the time of the last event is 0."""
+        values = self.of_runs(results)
+        if self.name == "last_event_time":
+            values = np.where(results.arrays["sequence"] == FAILED_CODE, np.nan, np.nan_to_num(values))
+        return values
 
     def of_label(self, label: str) -> float | None:
         """What follows from the label alone: 1 and 0 of what holds or not, or a number of impacts; else None."""

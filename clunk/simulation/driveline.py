@@ -239,6 +239,11 @@ def explained(study: Study, status: Status) -> str:
                 f"carry nothing; give it {key}.damping instead of {key}.friction"
             )
     if driveline.rigid_motion.shape.shape[1] <= 1:
+        if not driveline.staged:
+            return (
+                "no steady motion before the load step: so little resists it that a part would turn faster than 10⁷ "
+                "rad/s; give a bearing more damping"
+            )
         return (
             "no steady motion before the load step that is the only one: a staged shaft carries a torque at which a "
             "stage of it has no stiffness"

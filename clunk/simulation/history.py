@@ -276,11 +276,19 @@ def _before_load_step(
 def _after_event(
     trajectory: Trajectory, system: System, before: Floats, load: Floats, k: int, end: float, step: float
 ) -> Iterator[_Phase]:
-    """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches."""
+    """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches.
+
+    A regime that lasts no time is none, where another one that no event begins follows it.
+    """
     phases, recorded = trajectory.phases, trajectory.phase_states
     starts, is_event, number = phases["time"], phases["kind"] != STAGE, int(phases["regime"][k])
     stop = float(starts[k + 1]) if k + 1 < starts.size else np.inf
-    event, times = int(np.count_nonzero(is_event[:k])) if is_event[k] else -1, (float(starts[k]), min(stop, end))
+    if stop == starts[k] and not is_event[k + 1]:
+        return
+    first, times = k, (float(starts[k]), min(stop, end))
+    while not is_event[first] and starts[first - 1] == starts[k]:
+        first -= 1
+    event = int(np.count_nonzero(is_event[:first])) if is_event[first] else -1
     for _, begin, until, regime, x in stretches(system, before, load, number, recorded[k], *times):
         within = _grid(begin, until, step)
         sampled, parts = [np.array([begin]), within * step], [x[None]]

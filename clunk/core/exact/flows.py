@@ -13,6 +13,9 @@ nothing to an amplitude. In the states that these tables are for, it and its spe
 that rolls, see `regimes.rolling_apart`: the other angles and speeds are less their share of these, so that they have
 their digits however far and fast it rolls.
 
+Real modes are paired in the order of their rates. As a pair's amplitudes and the rates that they are bounded with are
+taken together, one that is much faster has a pair alone: it would keep spans short for as long as the other lasts.
+
 Four pairs of coordinates lie together: first the one member of each, then the other, as [a0 a1 a2 a3 b0 b1 b2 b3].
 
 A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
@@ -58,6 +61,7 @@ _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _GROWTH = math.exp(_SHORTEST / 2.0)
+_FASTER = 16.0  # times the rates of all others: a decay that a pair is left to
 _FAR = 2.0**40  # units of a displacement that nothing depends on
 
 
@@ -113,7 +117,11 @@ def build_flows(system: System, chains: list[Chain], held: list[int], spans: int
     spans : SPANS or MORE_SPANS
     """
     (*many, count, driven), states = system.feedthrough.shape, system.rates.shape[-1]
-    size = whole(states)
+    # before anything else: it is by these that drivelines differ in more than numbers, if they do
+    scaled = [*map(_scale, chains)]
+    modes = [*map(_modes, scaled)]
+    wave = states - chains[0].shift.shape[-2]
+    size = whole(max(states, *(wave + _ends(each.slots) for each in modes if each is not None)))
     blocks = size // ROW
     shapes = (
         (4, driven, size),
@@ -131,11 +139,9 @@ def build_flows(system: System, chains: list[Chain], held: list[int], spans: int
     pieces = np.split(aligned(ends[-1], 1).ravel(), ends[:-1])
     floats = [piece.reshape(*many, *shape) for piece, shape in zip(pieces, shapes, strict=True)]
     tables = Flows._make([*floats, *np.zeros((2, *many), np.int64)])
-    # before anything else: it is by these that drivelines differ in more than numbers, if they do
-    scaled = [*map(_scale, chains)]
     for k, chain in enumerate(chains):
         matrices = [array[:, k] for array in system[:4]]  # A, B, C and D
-        _fill(Flows._make(table[:, k] for table in tables), matrices, chain, scaled[k], held)
+        _fill(Flows._make(table[:, k] for table in tables), matrices, chain, scaled[k], modes[k], held)
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if system.first_rolling >= 0:
@@ -155,7 +161,27 @@ class _Scaled(NamedTuple):
     drift: npt.NDArray[np.bool_]  # (2m,)  displacements that nothing depends on, and velocities that only they do
 
 
-def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, scaled: _Scaled, held: list[int]) -> None:
+class _Modes(NamedTuple):
+    """Real eigenbases of a chain, their inverses, and the generators in them, (D, 2m, 2m).
+
+    slots : (2m,) int64, ascending, where each coordinate comes: in 2p and 2p + 1 those of a pair, and where one is
+        empty, the other's decay is much faster than all that it could be bounded with
+    """
+
+    basis: FloatArray
+    inverse: FloatArray
+    block: FloatArray
+    slots: IntArray
+
+
+def _ends(slots: IntArray) -> int:
+    """The number of coordinates with these slots, whole pairs."""
+    return int(slots.max(initial=-1) | 1) + 1
+
+
+def _fill(
+    tables: Flows, matrices: list[FloatArray], chain: Chain, scaled: _Scaled, modes: _Modes | None, held: list[int]
+) -> None:
     """Tables of one flow of D drivelines, (D, …); the coordinates that a chain has fewer than the tables stay zero.
 
     matrices : A, B, C and D of the flow, as `regimes.System` has them, (D, …, …) float64
@@ -174,11 +200,9 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, scaled: _Scal
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
     tables.steady[:] = alike(~times(seen, back[..., scaled.drift]).any(axis=(-2, -1)), 0)
 
-    modes = _modes(scaled)
-    modal, block = modes is not None, scaled.generator
+    modal, block, slots = modes is not None, scaled.generator, np.arange(into.shape[1])
     if modes is not None:
-        vectors, inverse, block = modes
-        into, back = inverse @ into, back @ vectors
+        into, back, block, slots = modes.inverse @ into, back @ modes.basis, modes.block, modes.slots
     unseen = alike(~np.any(block, axis=-2) & ~np.any(times(seen, back), axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
@@ -186,6 +210,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, scaled: _Scal
         drive = into @ np.ascontiguousarray(rates[:, :unforced, unforced])[..., None]
         wave_rates = rates[:, unforced:, unforced:]
         into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, modal)
+        slots = np.append(slots, _ends(slots) + np.arange(2))
         tables.steady[:] *= modal
     tables.modal[:] = modal
     fastest = np.linalg.norm(block, axis=-1)
@@ -196,8 +221,7 @@ def _fill(tables: Flows, matrices: list[FloatArray], chain: Chain, scaled: _Scal
     tables.span[:] = shortest[:, None] * np.ldexp([[1.0, 1.5]], octaves[:, None]).ravel()
 
     states, size = tables.coordinates.shape[-2:]
-    # where the coordinates 0, 1, 2, … lie, of which 2p and 2p + 1 are a pair
-    place = halves(np.arange(size)).swapaxes(1, 2).reshape(-1)[: into.shape[1]]
+    place = halves(np.arange(size)).swapaxes(1, 2).reshape(-1)[slots]  # where the coordinates lie
     tables.coordinates[..., place] = into.swapaxes(-1, -2)
     tables.basis[:, place, :states] = back.swapaxes(-1, -2)
     tables.generator[:, place[:, None], place] = shortest[:, None, None] * block
@@ -300,8 +324,8 @@ def _with_wave(
     return into, back, np.block([[block, pushed / scale], [none, wave]]), modal
 
 
-def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Real eigenbases, their inverses, and the generators in them, (D, 2m, 2m); None where badly conditioned.
+def _modes(scaled: _Scaled) -> _Modes | None:
+    """The modes of a chain; None where they are badly conditioned.
 
     Oscillating modes first, fastest first; then drifts, undamped and damped, then what is overdamped.
     """
@@ -360,6 +384,11 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     block[:, at, at + 1], block[:, at + 1, at + 1] = rates[:, fast:] * lengths / speeds, rates[:, fast:]
     at = end + 2 * slow + np.arange(fast)
     basis[..., at], block[:, at, at] = decaying[..., :fast], rates[:, :fast]
+    slots = np.arange(size)
+    for k, quick, partner in zip(at, rates[:, :fast].T, rates[:, 1:fast].T, strict=False):
+        # what rings keeps spans short as well, by its share of the time that the partner lasts
+        lasting = -partner, *(turning.T * (partner / np.minimum(sigma[:, :rings].T, partner - _TINY)))
+        slots[k + 1 :] += slots[k] % 2 == 0 and alike(-quick > _FASTER * np.stack(lasting).max(axis=0), 0)
     alone = damped[slow:]
     basis[:, alone, size - alone.size + np.arange(alone.size)] = 1.0
     try:
@@ -371,7 +400,7 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     condition = np.linalg.norm(basis, axis=(-2, -1)) * np.linalg.norm(inverse, axis=(-2, -1))
     if not alike(condition <= _MAX_CONDITION, 0):
         return None
-    return basis, inverse @ (2.0 * np.eye(size) - basis @ inverse), block
+    return _Modes(basis, inverse @ (2.0 * np.eye(size) - basis @ inverse), block, slots)
 
 
 def _are_moved_apart(damped: IntArray, decaying: FloatArray) -> bool:

@@ -427,7 +427,7 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
         if may != 0:
             _begin_search(space, regime, n, may, h, elapsed - h, counts, False)
         turns |= may
-    return int(turns)
+    return turns
 
 
 @part
