@@ -27,6 +27,7 @@ from clunk.sweeping.runner import Runner
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
 
+_RARE = 10  # runs that differ from the others: of fewer no shares are told
 _RESAMPLES = 999
 _FEWEST = 16
 
@@ -54,6 +55,7 @@ class Indices(Record):
     mean, std : float, over the 2 n runs of A and B; the mean of an indicator is its probability
     quantiles : at `QUANTILES`
     indices : dotted key -> share, by falling total index; None where the quantity is the same in all of those runs
+        but fewer than `_RARE`, which tell of no share
     """
 
     quantity: str
@@ -273,7 +275,7 @@ def _indices(
             "ask for another quantity."
         )
     base, shares = pages[:, :2], None
-    if np.ptp(base) > 0.0:
+    if np.count_nonzero(base != np.median(base)) >= _RARE:
         first, total, of_first, of_total = first_and_total(pages, seed)
         shares = {
             parameters[k]: Share(float(first[k]), of_first[:, k].tolist(), float(total[k]), of_total[:, k].tolist())
@@ -284,7 +286,7 @@ def _indices(
         heading=quantity.heading_with_unit,
         nominal=float(values[-1]),
         mean=float(base.mean()),
-        std=float(base.std()) if shares else 0.0,  # the rounding of a mean is no variance
+        std=float(base.std()) if np.ptp(base) > 0.0 else 0.0,  # the rounding of a mean is no variance
         quantiles={f"{q:g}": float(value) for q, value in zip(QUANTILES, np.quantile(base, QUANTILES), strict=True)},
         indices=shares,
     )

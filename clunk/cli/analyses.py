@@ -81,7 +81,7 @@ def fit(
 @click.command()
 @study_argument
 @click.option("-o", "--output", type=PATH, help="Also write the config with the best values (.toml).")
-@click.option("--front", "traded", metavar="QUANTITY", help="The least value for bounds on a quantity, too.")
+@click.option("--front", "traded", metavar="QUANTITY", help="Also find the least value for eight bounds on a quantity.")
 @click.option("--plot", "picture", type=PATH, help="Draw the run before and after, or the front: .png .svg .pdf.")
 @lash_option
 @workers_option
@@ -174,8 +174,9 @@ def sensitivity(
 
     \b
     Examples:
-      clunk sensitivity tolerances.toml --set sweep.sampling.count=4096
-      clunk sensitivity tolerances.toml --of severity --of double_sided \\
+      clunk sensitivity configs/tolerance.toml --at load.ratio=5 \\
+          --at lash.backlash_deg=6
+      clunk sensitivity configs/tolerance.toml --of severity \\
           -o bars.png
     """
     from clunk.analysis import sobol

@@ -30,8 +30,8 @@ set_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     shell_complete=completion.assignments,
-    help="Override a key of the config, for example --set load.ratio=7; a path begins in the current directory. May be "
-    "repeated.",
+    help="Override a key of the config, for example --set load.ratio=7; a relative path is one from the current "
+    "directory. May be repeated.",
 )
 
 

@@ -1,10 +1,10 @@
 """What a run leaves behind: its events in order, each with what followed it.
 
 Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of each lash's
-acceleration over its window up to the end of that phase are kept beside it, one-sided limits at all events included, so
-that of the last phase in a primary impact's window they are those of the window. Where there is more than one element,
-a phase shorter than INSTANT adds nothing: what happens at one time in several is written one after the other, and no
-state in between counts, in whichever order rounding puts them.
+acceleration over its window up to the end of that phase are kept beside it, one-sided limits at all events included:
+those beside the last event before the next primary impact are the extremes of the whole window. Where there is more
+than one element, a phase shorter than INSTANT adds nothing: what happens at one time in several is written one after
+the other, and no state in between counts, in whichever order rounding puts them.
 """
 
 import numpy as np

@@ -218,7 +218,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     """
     drawn = [(each.heading, each.indices) for each in sensitivity.indices if each.indices]
     if not drawn:
-        raise style.PlotError("There are no indices to draw: every quantity is the same in all runs.")
+        raise style.PlotError("There are no indices to draw: every quantity is the same in all runs, or nearly.")
     parameters = [*drawn[0][1]]
     axes, places = [*map(quantity, parameters)], np.arange(len(parameters))
     figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))

@@ -468,10 +468,8 @@ class ToleranceMap(Map):
         cells = self.of_lash().runs[..., FAILED_CODE]  # all lashes of a run fail together
         if not cells.any():
             return []
-        affected = counted(int(np.count_nonzero(cells)), "cell")
-        return [
-            f"failed: up to {cells.max() / self.draws:.2g} of the runs in {affected}; probabilities are of the others"
-        ]
+        affected, most = counted(int(np.count_nonzero(cells)), "cell"), 100.0 * cells.max() / self.draws
+        return [f"failed: up to {most:.2g} % of the runs in {affected}; probabilities are of the others"]
 
     @property
     def failed(self) -> int:

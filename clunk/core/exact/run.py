@@ -7,6 +7,9 @@ if it has one, is the event. So no event is skipped, to rounding, for this model
 
 The severity's extremes are located by the same means, where the acceleration could exceed what the window holds; and
 so are the near misses that make the run's margin, see `margins`.
+
+A run is a row of `Workspace.numbers`. It waits in a queue until `advance` takes it, with others of its group, for a
+step side by side; a step that ends by an event, or with the load's piece, goes through `_follow`.
 """
 
 import numpy as np
@@ -61,8 +64,8 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue.
 
-    The load goes on to its piece at that time, and what no longer sticks there begins to slip, as an event:
-    but where a friction's own event has just chosen what does.
+    The load goes on to its piece at that time. Frictions that can no longer stick there begin to slip, which is an
+    event; they are not asked where a friction's own event has just chosen the regime.
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, load, before = space.numbers[slot, space.behind :], space.loads[row.load], row.piece
@@ -198,7 +201,7 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
             window = log.extremes[row.count - 1, lash]
             own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = window[0], window[1]
     entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
-    row.stages += entry.written == row.count  # one that is not written: the phase goes on
+    row.stages += entry.written == row.count  # one that is not written, which takes no room for events
     _take_events(space, slot, row.count, entry.written)
     return entry
 

@@ -92,7 +92,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         enter(room, system, entry.regime)
         combine(steps.by_inputs[flow], room.weighed, room.by_inputs)
         extremes = log.extremes[entry.written - 1]
-        while True:
+        while True:  # one expanded step, then full ones while nothing can happen in them, until a guard ends the phase
             length, spanned = _next_length(grid, index, offset)
             expand(system, flow, x, room)
             s, guard = first_event(system, entry.regime, room, max(length, 0.0), zero_guard, entry.zero_order)
