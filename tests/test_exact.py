@@ -206,14 +206,14 @@ class TestPhasesOfSpecialKinds:
 # Stiff dampers
 
 
-@pytest.mark.parametrize("damping", [4.0, 4e3])
+@pytest.mark.parametrize("damping", [4.0, 400.0])
 def test_a_damper_that_is_stiff_beside_its_shaft_has_the_events_of_the_reference(damping):
-    """A hundred to 100,000 times the report's, so that one decay is as much slower as another is faster."""
+    """A hundred and 10,000 times the report's, so that one decay is as much slower as another is faster."""
     plant = reference.boere(5.0, 6.0)
     first, second, *others = plant.shafts
     stiff = replace(plant, shafts=(first, (*second[:3], damping), *others))
-    run, events = exact(stiff, end_time=0.3), propagated(stiff, end_time=0.3)
+    run, events = exact(stiff, end_time=0.2), propagated(stiff, end_time=0.2)
     assert kinds_of(run) == [(event.kind, event.side) for event in events]
-    assert len(events) > 8
+    assert len(events) > 5
     # the reference's exponentials are squared up from a time so much shorter
     assert run.events["time"] == pytest.approx([event.time for event in events], abs=1e-12 * damping)
