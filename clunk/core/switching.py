@@ -26,7 +26,7 @@ _OK = int(Status.OK)
 _NO_EQUILIBRIUM = int(Status.NO_EQUILIBRIUM)
 _NO_INITIAL_FLANK = int(Status.NO_INITIAL_FLANK)
 _WITHIN = 1e-11  # of its terms: the steady twist of a staged shaft this little beyond a breakpoint is at it
-FASTEST = 1e7  # rad/s, of a part in steady motion: beside such a speed the digits of twists are lost
+_FASTEST = 1e7  # rad/s, of a part in steady motion: beside such a speed the digits of twists are lost
 MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what has more truly runs away
 
 
@@ -70,7 +70,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         is_in_stage, is_beside_loose = _is_in_stage(system, regime, x)
         if not is_in_stage:
             continue
-        if is_beside_loose or fastest > FASTEST:
+        if is_beside_loose or fastest > _FASTEST:
             return _NO_EQUILIBRIUM, OPEN
         if presses:
             return _OK, regime

@@ -61,7 +61,7 @@ _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _GROWTH = math.exp(_SHORTEST / 2.0)
-_FASTER = 16.0  # times the rates of all others: a decay that a pair is left to
+_FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
 _FAR = 2.0**40  # units of a displacement that nothing depends on
 
 
