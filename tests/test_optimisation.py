@@ -136,7 +136,7 @@ def test_what_is_found_does_not_depend_on_the_run_of_the_config_as_it_is(brief, 
     """As it is nothing happens, or the run fails: what is minimised has then no size that others are measured by."""
     text = to_toml(damped_ramp(minimize, [condition], longest=0.3)).replace("ratio = 3.0", "ratio = 5.0")
     best = optimize(study_from_text(text, overrides=[start]))
-    first, second = (each for each in study_from_text(text).optimize.parameters)
+    first, second = study_from_text(text).optimize.parameters
     swept = np.linspace(first.low, first.high, 301)
     points = {"load.duration": swept, "lash.contact.damping": np.full(301, second.high)}
     runs = clunk.run_points(study_from_text(text, overrides=[start]), points)

@@ -291,7 +291,7 @@ def test_the_car_shuffles_at_a_few_hertz_and_clunks(tip, begins):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_so_little_drag_that_steady_motion_has_lost_its_digits_is_refused(method):
-    """100 N m at 1e-9 N m s/rad are 1e11 rad/s: beside them no twist is known."""
+    """6 N m of the engine, geared down by 4, at 1e-9 N m s/rad: 1e11 rad/s of it, beside which no twist is known."""
     plant = replace(CAR, shafts=(*CAR.shafts[:-1], (5, "ground", 0.0, 1e-9)))
     with pytest.raises(ClunkError, match="faster than 10⁷ rad/s"):
         simulate(study_of(plant, method))

@@ -157,7 +157,7 @@ class Candidates:
         return codes[results.sequence], results
 
     def _compare_impacts(self, matches: Records, point: Positions, results: Results) -> None:
-        """Set the misfit of the impacts' quantities in runs: minus the logarithm of their relative likelihood."""
+        """Set the misfit of the impacts' quantities in runs, minus the logarithm of their likelihood, and `far`."""
         codes = matches["label"]
         for at, measurement in enumerate(self.experiment.measurements):
             for code in np.unique(codes[point == at]).tolist() if measurement.impacts else ():

@@ -111,6 +111,7 @@ class Problem:
     lash, workers : as of `optimize`
     shown : quantity that is told besides, if any
     progress : called with the number of runs so far, and the most that there can be
+    size : that values of what is minimised are measured by, in its unit
     """
 
     progress: Progress | None
