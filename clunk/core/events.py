@@ -23,13 +23,13 @@ INSTANT = 1e-12  # s: events closer than this are at the same time
 
 EVENT = np.dtype(
     [
-        ("time", np.float64),  # s after the load step
-        ("speed", np.float64),  # rad/s, q' = θ'i - ratio θ'j just before
-        ("kind", np.int64),
-        ("regime", np.int64),  # the one that follows, see clunk.core.regimes
-        ("side", np.int64),  # the flank concerned: sign of q on it; at the load step the first lash's, 0 if it is open
-        ("lash", np.int64),  # the lash concerned, or -1
-        ("primary", np.int64),  # whether it is a primary impact, see clunk.core.sequence
+        ("time", "f8"),  # s after the load step
+        ("speed", "f8"),  # rad/s, q' = θ'i - ratio θ'j just before
+        ("kind", "i8"),
+        ("regime", "i8"),  # the one that follows, see clunk.core.regimes
+        ("side", "i8"),  # the flank concerned: sign of q on it; at the load step the first lash's, 0 if it is open
+        ("lash", "i8"),  # the lash concerned, or -1
+        ("primary", "i8"),  # whether it is a primary impact, see clunk.core.sequence
     ],
     align=True,
 )

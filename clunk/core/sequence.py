@@ -20,9 +20,9 @@ OPPOSITE = 1
 
 COURSE = np.dtype(  # what the flanks of one lash have done so far in a run
     [
-        ("last_side", np.int64),  # the flank of the last touch, at first the preloaded one (0: none)
-        ("from_sticking", np.int64),  # whether they have separated from sticking since
-        ("contact_began", np.float64),  # s, of the last contact; -inf of the preloaded one
+        ("last_side", "i8"),  # the flank of the last touch, at first the preloaded one (0: none)
+        ("from_sticking", "i8"),  # whether they have separated from sticking since
+        ("contact_began", "f8"),  # s, of the last contact; -inf of the preloaded one
     ],
     align=True,
 )

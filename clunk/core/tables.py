@@ -58,36 +58,36 @@ BEYOND = 1e-12  # rad, behind its breakpoint, that a stage ends: the same of a t
 
 REGIME = np.dtype(
     [
-        ("flow", np.int64),
-        ("guards", np.int64),  # how many end it
-        ("watched", np.int64),  # how many rows it has: those that end it, then those that make a margin only
-        ("group", np.int64),  # runs in regimes with one flow and, but for the sides, the same guards step together
+        ("flow", "i8"),
+        ("guards", "i8"),  # how many end it
+        ("watched", "i8"),  # how many rows it has: those that end it, then those that make a margin only
+        ("group", "i8"),  # runs in regimes with one flow and, but for the sides, the same guards step together
     ],
     align=True,
 )
 
 CONTACT = np.dtype(
     [
-        ("closed", np.int64),  # whether the flanks press on each other
-        ("side", np.int64),  # s
-        ("of_gap", np.float64),  # margins in it are relative to of_gap · φ/2 + of_rest · what is at rest
-        ("of_rest", np.float64),
+        ("closed", "i8"),  # whether the flanks press on each other
+        ("side", "i8"),  # s
+        ("of_gap", "f8"),  # margins in it are relative to of_gap · φ/2 + of_rest · what is at rest
+        ("of_rest", "f8"),
     ],
     align=True,
 )
 
 GUARD = np.dtype(
     [
-        ("functional", np.int64),  # guard = sign · functional + offsets · d
-        ("sign", np.float64),
-        ("successor", np.int64),  # the regime that follows where it turns negative, or -1
-        ("event_kind", np.int64),  # the event that this is, or -1
-        ("lash", np.int64),  # the lash that the event concerns, or -1
-        ("side", np.int64),  # and its flank
-        ("zero_guard", np.int64),  # the successor's guard that is zero on entry, or -1
-        ("zero_order", np.int64),  # and how many of its derivatives, itself included, are
-        ("makes_margin", np.int64),  # whether its turning back or its depth does
-        ("first_alike", np.int64),  # the regime's first guard of the same functional
+        ("functional", "i8"),  # guard = sign · functional + offsets · d
+        ("sign", "f8"),
+        ("successor", "i8"),  # the regime that follows where it turns negative, or -1
+        ("event_kind", "i8"),  # the event that this is, or -1
+        ("lash", "i8"),  # the lash that the event concerns, or -1
+        ("side", "i8"),  # and its flank
+        ("zero_guard", "i8"),  # the successor's guard that is zero on entry, or -1
+        ("zero_order", "i8"),  # and how many of its derivatives, itself included, are
+        ("makes_margin", "i8"),  # whether its turning back or its depth does
+        ("first_alike", "i8"),  # the regime's first guard of the same functional
     ],
     align=True,
 )

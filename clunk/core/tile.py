@@ -40,26 +40,26 @@ _EVENT_MEMORY = 2_000_000  # events that there is room for at a time: 112 MB, an
 CELL = np.dtype(
     [
         # the primaries' flanks as bits behind a leading 1 (opposite: 1); 0 for more than 62, or where the run failed
-        ("pattern", np.uint64),
-        ("severity", np.float64),  # Q, rad/s2
-        ("approach_velocity", np.float64),  # V, rad/s
-        ("last_event_time", np.float64),  # s after the load step, NaN without events
-        ("margin", np.float64),  # see clunk.core.exact.margins; NaN where the method knows none
-        ("primary_impacts", np.int32),
-        ("touches", np.int32),
-        ("status", np.uint8),
-        ("quality", np.uint8),
-        ("initial_side", np.int8),
+        ("pattern", "u8"),
+        ("severity", "f8"),  # Q, rad/s2
+        ("approach_velocity", "f8"),  # V, rad/s
+        ("last_event_time", "f8"),  # s after the load step, NaN without events
+        ("margin", "f8"),  # see clunk.core.exact.margins; NaN where the method knows none
+        ("primary_impacts", "i4"),
+        ("touches", "i4"),
+        ("status", "u1"),
+        ("quality", "u1"),
+        ("initial_side", "i1"),
     ],
     align=True,
 )
 
 IMPACT = np.dtype(
     [
-        ("time", np.float64),  # s after the load step
-        ("closing_speed", np.float64),  # |q'| just before touch, rad/s
-        ("severity", np.float64),  # Q_i, rad/s2
-        ("flank", np.int8),  # +1 opposite, -1 initial
+        ("time", "f8"),  # s after the load step
+        ("closing_speed", "f8"),  # |q'| just before touch, rad/s
+        ("severity", "f8"),  # Q_i, rad/s2
+        ("flank", "i1"),  # +1 opposite, -1 initial
     ],
     align=True,
 )

@@ -24,17 +24,17 @@ from clunk.sweeping.reduction import Reduction, heading_of, in_order, labels_of
 
 TOLERANCE_CELL = np.dtype(
     [
-        ("outcomes", np.int32),  # number of labels
-        ("nominal_status", np.uint8),
-        ("status", np.uint8),  # of the first draw that failed
-        ("severity_mean", np.float64),
-        ("severity_quantiles", np.float64, (len(QUANTILES),)),
+        ("outcomes", "i4"),  # number of labels
+        ("nominal_status", "u1"),
+        ("status", "u1"),  # of the first draw that failed
+        ("severity_mean", "f8"),
+        ("severity_quantiles", "f8", (len(QUANTILES),)),
     ],
     align=True,
 )
 # A label that runs of a cell had, and how many; the text is as long as the longest of a tile. That of the nominal run,
 # unless it failed, is the first of its cell, also where no draw had it.
-OUTCOME = np.dtype([("runs", np.int32), ("label", "S1")])
+OUTCOME = np.dtype([("runs", "i4"), ("label", "S1")])
 
 _TILE_RUNS = 1 << 16  # 1 MB of them, in about a second
 
@@ -87,7 +87,7 @@ class SampleGrid(Grid):
         summaries = [_summary(codes[runs], severity[runs], status[runs]) for runs in order]
         outcomes = [(runs, labels[code].encode()) for _, counts in summaries for code, runs in counts.items()]
         longest = max(map(len, labels), default=1)
-        details = np.array(outcomes, [("runs", np.int32), ("label", f"S{longest}")])
+        details = np.array(outcomes, [("runs", "i4"), ("label", f"S{longest}")])
         return Tile(cells, np.array([record for record, _ in summaries], TOLERANCE_CELL), details)
 
     def _values(self, cells: Cells) -> dict[str, Floats]:

@@ -29,21 +29,21 @@ OF_SEEN = 13  # rows of lanes that a step keeps of a functional
 
 RUN = np.dtype(
     [
-        ("tag", np.int64),  # the caller's
-        ("driveline", np.int64),
-        ("status", np.int64),
-        ("quality", np.int64),
-        ("count", np.int64),  # events so far
-        ("regime", np.int64),
-        ("stages", np.int64),  # changes of stage so far that are not written
-        ("searches", np.int64),  # in its last step that are under way
-        ("load", np.int64),  # its row of the loads
-        ("piece", np.int64),  # of the load
-        ("ended", np.int64),  # how the last step did, see `rows.GOES_ON`
-        ("guard", np.int64),  # the one that ended it, by an event
-        ("time", np.float64),  # s, when the phase began; after the end, when the run did
-        ("last", np.float64),  # s, when the last event was
-        ("rolled", np.float64),  # rad, by the first inertia that rolls; the angles of the run are less that
+        ("tag", "i8"),  # the caller's
+        ("driveline", "i8"),
+        ("status", "i8"),
+        ("quality", "i8"),
+        ("count", "i8"),  # events so far
+        ("regime", "i8"),
+        ("stages", "i8"),  # changes of stage so far that are not written
+        ("searches", "i8"),  # in its last step that are under way
+        ("load", "i8"),  # its row of the loads
+        ("piece", "i8"),  # of the load
+        ("ended", "i8"),  # how the last step did, see `rows.GOES_ON`
+        ("guard", "i8"),  # the one that ended it, by an event
+        ("time", "f8"),  # s, when the phase began; after the end, when the run did
+        ("last", "f8"),  # s, when the last event was
+        ("rolled", "f8"),  # rad, by the first inertia that rolls; the angles of the run are less that
     ],
     align=True,
 )
