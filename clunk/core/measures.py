@@ -26,12 +26,11 @@ from clunk.core.regimes import System, overlap_of, speed_of
 from clunk.core.rigid import held_with
 from clunk.core.runs import begin_wave, end_of_piece, piece_at, set_gaps, set_torque
 from clunk.core.severity import root_of_squares
-from clunk.core.status import Status
+from clunk.core.status import OK
 from clunk.core.sums import combine, copy
 from clunk.core.switching import set_weighed
 from clunk.core.tile import Batch, Cases, Output
 
-_OK = int(Status.OK)
 _SMOOTH = 1e-10  # of the terms of a series: the last one over a step of which the series tells all
 _PLACES = 16  # of a step, between which the slope of a channel is asked for its sign: some 0.09 of 1/rate apart
 _HALVINGS = 30  # of an interval with a turn: to 1e-9 of it, the value there to the square of that
@@ -105,7 +104,7 @@ def _measure_runs(
         first[0] = first[room.row.size]
         for lash in range(room.row.size):
             first[lash + 1] = first[lash] + output.cells[k, lash].primary_impacts
-        if output.cells[k, 0].status == _OK:
+        if output.cells[k, 0].status == OK:
             driveline = cases.drivelines[k % cases.drivelines.size]
             of_run = reference_at(room.systems, driveline, system)
             _measure(of_run, channels, driveline, cases, output, k, room, totals[k])

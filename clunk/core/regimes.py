@@ -21,7 +21,7 @@ from clunk.core.batches import alike
 from clunk.core.equilibrium import steady_motion
 from clunk.core.jit import inlined_part, part
 from clunk.core.reductions import chain, locked
-from clunk.core.status import Status
+from clunk.core.status import NO_EQUILIBRIUM, OK
 from clunk.core.sums import weigh
 from clunk.core.tables import (
     ACCELERATION,
@@ -388,8 +388,8 @@ def build_system(
         stiffness = chains[every[k << count]][1]  # with all lashes open
         angles, carried[..., k, :, :] = steady_motion(stiffness, torques, twists, gaps, momentum, compliance)
         steady[..., k, :n, :], steady[..., k, speeds, TORQUE] = angles, rigid.speeds
-    status = Status.OK if motions <= 1 and not rubs else Status.NO_EQUILIBRIUM
-    rolling = np.broadcast_to(rigid.shape, (*batch, n, motions))[..., : int(status == Status.OK)]
+    status = OK if motions <= 1 and not rubs else NO_EQUILIBRIUM
+    rolling = np.broadcast_to(rigid.shape, (*batch, n, motions))[..., : int(status == OK)]
     # by the angles, and where nothing drags by the speeds, too
     drift = np.asarray(np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling), np.float64)
     joints = by_speeds(np.broadcast_to(tied, (*batch, *tied.shape[-2:])))
@@ -428,7 +428,7 @@ def build_system(
         first_rolling=int(alike(rolling.any(axis=-1)).argmax()) if rolling.size else -1,
         end_time=end_time,
         sticking_time=lashes.sticking_time,
-        status=int(status),
+        status=status,
     )
 
 

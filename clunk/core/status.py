@@ -36,6 +36,8 @@ _SENTENCES = {
     ),
 }
 
+# For kernels, which compare plain integers.
+OK, NO_EQUILIBRIUM, NO_INITIAL_FLANK, NON_FINITE, EVENT_BUFFER_FULL, UNSTABLE_STEP = map(int, Status)
 INTERRUPTED = 255  # never stored: the cell has to be run again
 
 # Bits of the results file's `quality`.

@@ -19,12 +19,9 @@ from clunk.core.regimes import (
     turn_back,
 )
 from clunk.core.runs import Entry, Log, Moment, Start, begin_wave, record, set_gaps, set_torque
-from clunk.core.status import Status
+from clunk.core.status import NO_EQUILIBRIUM, NO_INITIAL_FLANK, OK
 from clunk.core.tables import BEYOND, OPEN, TORQUE
 
-_OK = int(Status.OK)
-_NO_EQUILIBRIUM = int(Status.NO_EQUILIBRIUM)
-_NO_INITIAL_FLANK = int(Status.NO_INITIAL_FLANK)
 _WITHIN = 1e-11  # of its terms: the steady twist of a staged shaft this little beyond a breakpoint is at it
 _FASTEST = 1e7  # rad/s, of a part in steady motion: beside such a speed the digits of twists are lost
 MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what has more truly runs away
@@ -54,14 +51,14 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
     """
     system = refer(system)
     lashes, stages = system.lash_count, system.steady_motion.shape[0]
-    status = _NO_INITIAL_FLANK if stages == 1 else _NO_EQUILIBRIUM
+    status = NO_INITIAL_FLANK if stages == 1 else NO_EQUILIBRIUM
     for regime in range(stages * system.regime_strides[lashes]):
         stage, closed, presses = regime // system.regime_strides[lashes], True, True
         for lash in range(lashes):
             contact = system.contacts[regime, lash]
             torque = _of_inputs(system, regime, system.contact_torque[stage, lash], inputs)
             closed, presses = closed and contact.closed != 0, presses and contact.side * torque > 0.0
-        if not closed or (not presses and status == _NO_INITIAL_FLANK):
+        if not closed or (not presses and status == NO_INITIAL_FLANK):
             continue
         fastest = 0.0
         for k in range(x.size):
@@ -71,10 +68,10 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         if not is_in_stage:
             continue
         if is_beside_loose or fastest > _FASTEST:
-            return _NO_EQUILIBRIUM, OPEN
+            return NO_EQUILIBRIUM, OPEN
         if presses:
-            return _OK, regime
-        status = _NO_INITIAL_FLANK
+            return OK, regime
+        status = NO_INITIAL_FLANK
     return status, OPEN
 
 

@@ -26,11 +26,8 @@ from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Room, make_room
 from clunk.core.runs import Log, Outcome, Start
 from clunk.core.sequence import COURSE, INITIAL, OPPOSITE
-from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
+from clunk.core.status import EVENT_BUFFER_FULL, INTERRUPTED, OK, QUALITY_UNDECIDED
 from clunk.core.sums import copy
-
-_OK = int(Status.OK)
-_EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 LONGEST_PATTERN = 62
 EVENTS = 2048  # of a run, that there is room for at first; a run that finds too little is run again,
@@ -190,7 +187,7 @@ def by_rk4(
         if stop[0] != 0 or written + max_events > output.impacts.size:
             return k, written
         regime = _begin(system, cases, k, cells[k], x)
-        if cells[k, 0].status != _OK:
+        if cells[k, 0].status != OK:
             continue
         start = Start(x, regime, cases.before[k], cases.loads, k % cases.loads.shape[0])
         outcome = rk4.run(system, steps, start, log, room, stop)
@@ -232,7 +229,7 @@ def by_exact(
         while spare > 0 and admitted < cells.shape[0] and not full:
             before, driveline = cases.before[admitted], cases.drivelines[admitted % cases.drivelines.size]
             regime = _begin(system_at(space, driveline), cases, admitted, cells[admitted], x)
-            if cells[admitted, 0].status == _OK:
+            if cells[admitted, 0].status == OK:
                 spare -= 1
                 slot = free[spare]
                 space.runs[slot].tag = admitted
@@ -272,9 +269,9 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
     """Set cell k's state at the load step, and its status, which tells whether it can be run; return the regime."""
     status, regime = system.status, 0
     if cases.regimes.size > 0:
-        status, regime = _OK, cases.regimes[k]
+        status, regime = OK, cases.regimes[k]
         copy(cases.states[k], x)
-    elif status == _OK:
+    elif status == OK:
         status, regime = switching.preload(system, cases.before[k], x)
     for lash in range(system.lash_count):
         cell = cells[lash]
@@ -283,7 +280,7 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
         cell.last_event_time = np.nan
         cell.margin = np.nan
         cell.touches = 0
-        cell.initial_side = system.contacts[regime, lash].side if status == _OK else 0
+        cell.initial_side = system.contacts[regime, lash].side if status == OK else 0
         cell.status = status
     return regime
 
@@ -314,11 +311,11 @@ def _finish(
     cells, impacts, nearest, total, count = output.cells[k], output.impacts, np.inf, 0, 0
     for i in range(1, outcome.written):
         count += log.events[i].kind != STAGE
-    status = _EVENT_BUFFER_FULL if outcome.status == _OK and count > max_events else outcome.status
+    status = EVENT_BUFFER_FULL if outcome.status == OK and count > max_events else outcome.status
     for lash in range(system.lash_count):
         cells[lash].status = status
         nearest = min(nearest, abs(log.margins[lash]))
-    if status != _OK:
+    if status != OK:
         return 0
     for lash in range(system.lash_count):
         cell, events, severities, speeds = cells[lash], log.events, 0.0, 0.0  # sums of squares

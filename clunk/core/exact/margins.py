@@ -21,11 +21,10 @@ from clunk.core.regimes import lash_of, overlap_of
 from clunk.core.rigid import holding_torque
 from clunk.core.runs import LEVEL, Moment, Start
 from clunk.core.sequence import is_primary, is_sticking
-from clunk.core.status import QUALITY_GRAZING, Status
+from clunk.core.status import OK, QUALITY_GRAZING
 from clunk.core.switching import preload
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
-_OK = int(Status.OK)
 MOST = 0.25  # larger margins are not looked for, and written as this
 
 
@@ -46,7 +45,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
     x, torque, rate = space.state[slot, : system.lashes.shape[1]], inputs[TORQUE], inputs[TORQUE_RATE]
     inputs[TORQUE], inputs[TORQUE_RATE] = start.loads[start.load, -1, LEVEL], 0.0
     status, regime = preload(system, inputs, x)
-    if status != _OK:
+    if status != OK:
         inputs[TORQUE] = start.before[TORQUE]
         status, regime = preload(system, inputs, x)
     for lash in range(system.lash_count):
@@ -55,7 +54,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
             static = side * holding_torque(Moment(system, 0.0, x, inputs), regime, lash)[0]
         else:
             static = overlap_of(system, lash, side, x, inputs)
-        space.static[slot, lash] = max(static, 0.0) if status == _OK else 0.0
+        space.static[slot, lash] = max(static, 0.0) if status == OK else 0.0
     inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
 
 

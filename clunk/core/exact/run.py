@@ -35,20 +35,16 @@ from clunk.core.runs import (
     roll_states,
     set_torque,
 )
-from clunk.core.status import QUALITY_COMPLETE, Status
+from clunk.core.status import EVENT_BUFFER_FULL, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import copy, weigh
 from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, set_weighed, switch
-
-_OK = int(Status.OK)
-_NON_FINITE = int(Status.NON_FINITE)
-_EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 
 @inlined_part
 def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     """Put a run of a driveline into an empty place of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
-    row.driveline, row.status, row.quality, row.stages, row.searches = driveline, _OK, 0, 0, 0
+    row.driveline, row.status, row.quality, row.stages, row.searches = driveline, OK, 0, 0, 0
     row.load, row.piece, row.ended = start.load, piece_at(start.loads[start.load], 0, 0.0), rows.GOES_ON
     row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(system.lash_count):
@@ -153,7 +149,7 @@ def _follow(space: Workspace, slot: int) -> None:
         push(space.pool, queue + system.regimes[row.regime].group, slot)
     else:
         row.quality |= QUALITY_COMPLETE if row.ended == rows.SETTLED else 0
-        _end(space, slot, _NON_FINITE if row.ended == rows.LOST else _OK, now)
+        _end(space, slot, NON_FINITE if row.ended == rows.LOST else OK, now)
 
 
 @inlined_part
@@ -170,11 +166,11 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     for k in range(x.size):
         total += abs(x[k])
     if not np.isfinite(total):
-        _end(space, slot, _NON_FINITE, time)
+        _end(space, slot, NON_FINITE, time)
         return
     switches = by_event or system.friction_count > 0
     if switches and not may_switch(at, log, row.count, row.stages):
-        _end(space, slot, _EVENT_BUFFER_FULL, time)
+        _end(space, slot, EVENT_BUFFER_FULL, time)
         return
     set_torque(system, space.loads[row.load], row.piece, time, at.inputs)
     if by_event:

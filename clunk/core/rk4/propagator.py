@@ -7,7 +7,7 @@ import numpy as np
 from clunk.core.arrays import ComplexArray, FloatArray, IntArray
 from clunk.core.exact.flows import CURVATURE, PAIRS, SWAY, Flows, halves
 from clunk.core.regimes import System, rolling_apart
-from clunk.core.status import Status
+from clunk.core.status import UNSTABLE_STEP
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 # On a step of length h, |p(s)| exceeds its larger end value by at most max|p''| h²/8 <= |c2|/4 + 3|c3|/4 + 3|c4|/2
@@ -48,7 +48,7 @@ def build_steps(system: System, flows: Flows, step: float) -> tuple[System, Step
     # of STRIDE unstable steps, which no run takes, the tables may overflow: they are those of no step
     transfer, inputs = _propagators(system, step * stable)
     if not stable:
-        system = system._replace(status=int(Status.UNSTABLE_STEP))
+        system = system._replace(status=UNSTABLE_STEP)
     return system, Steps(step, transfer, np.concatenate([inputs, of_y, of_sag], axis=-1), *bounds)
 
 

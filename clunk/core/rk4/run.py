@@ -33,14 +33,10 @@ from clunk.core.runs import (
     roll_states,
     set_torque,
 )
-from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
+from clunk.core.status import EVENT_BUFFER_FULL, INTERRUPTED, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import combine, copy, weigh
 from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch
 from clunk.core.tables import ACCELERATION
-
-_OK = int(Status.OK)
-_NON_FINITE = int(Status.NON_FINITE)
-_EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 _BETWEEN_LOOKS = 256  # full steps, at whether the run is settled, and at the stop flag
 _BEFORE_NEXT_STRIDE = 16  # steps, after one in doubt
@@ -98,7 +94,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             s, guard = first_event(system, entry.regime, room, max(length, 0.0), zero_guard, entry.zero_order)
             widen_extremes(system, flow, room, s, extremes)
             if not finish(room, s, x):
-                return Outcome(_NON_FINITE, entry.written, 0, begin + index * grid.step + offset)
+                return Outcome(NON_FINITE, entry.written, 0, begin + index * grid.step + offset)
             rolled += turn_back(system, x)
             if guard >= 0:
                 offset += s
@@ -122,11 +118,11 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                     over = _is_settled(system, steps, entry.regime, room, extremes)
             copy(room.z[: x.size], x)
             if over:
-                return Outcome(_OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
+                return Outcome(OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
             if index >= grid.last:
                 end = end_of_piece(system, load, piece)
                 if end == system.end_time[0]:
-                    return Outcome(_OK, entry.written, 0, end)
+                    return Outcome(OK, entry.written, 0, end)
                 piece = piece_at(load, piece + 1, end)
                 begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
                 index, offset = 0, 0.0
@@ -135,14 +131,14 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         if guard < 0:  # another piece of the load
             at = Moment(system, begin, x, inputs)
             if system.friction_count > 0 and not may_switch(at, log, written, stages):
-                return Outcome(_EVENT_BUFFER_FULL, written, 0, begin)
+                return Outcome(EVENT_BUFFER_FULL, written, 0, begin)
             entry = Entry(written, entry.regime, -1, 0)
             continue
 
         time = begin + index * grid.step + offset
         at = Moment(system, time, x, inputs)
         if not may_switch(at, log, written, stages):
-            return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
+            return Outcome(EVENT_BUFFER_FULL, written, 0, time)
         if is_instant(at, log.events[written - 1].time):
             begin_windows(log, written - 1)
         entry = switch(at, log, entry.regime, guard, written, room.fastest)
