@@ -246,8 +246,7 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
             _move_within(channels.rates[driveline, flow], share, room)
             break
         combine(channels.steps[driveline, flow, level], z, room.moved[0])
-        for j in range(z.size):
-            z[j] = room.moved[0, j]
+        copy(room.moved[0], z)
         elapsed += share * length
 
 

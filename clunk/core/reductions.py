@@ -78,7 +78,7 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
         if not ends.size:
             continue
         plain = ends[alike(np.abs(row[..., ends]) == 1.0)]
-        pivot = int(plain[-1] if plain.size else ends[-1])
+        pivot = plain[-1] if plain.size else ends[-1]
         offset = (-lash @ shift[..., :n, :])[..., 0, :]
         offset[..., k] += 1.0
         shift[..., :n, :] += basis[..., pivot, None] * (offset / row[..., pivot, None])[..., None, :]

@@ -79,13 +79,11 @@ def _refer(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) 
     return builder.asm(opaque, "", "=r,0,~{memory}", [at], side_effect=True)
 
 
-def _same(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-    return arguments[0]
-
-
 @intrinsic
 def _reference(_: Any, values: Any) -> Any:
-    return (values(values), _same) if isinstance(values, Reference) else (Reference(values)(values), _refer)
+    if isinstance(values, Reference):
+        return values(values), lambda context, builder, signature, arguments: arguments[0]
+    return Reference(values)(values), _refer
 
 
 @intrinsic

@@ -43,7 +43,7 @@ from clunk.core.tables import (
 )
 
 LOCKING_SHARE = 1e-4  # of the run's fastest touch: chatter has then lost all but 1e-8 of its energy
-ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
+ROUNDING = 8 * np.finfo(np.float64).eps  # relative to the terms of a sum of a few products
 _SINGULAR = 1e-12  # of the largest eigenvalue: a smaller one is rounding
 
 
@@ -77,9 +77,8 @@ class System(NamedTuple):
     offsets: FloatArray  # (R, G, I)  of each guard
     weights: FloatArray  # (R, I)  u = weights · d
     leaders: IntArray  # (U,)  the first regime of each group
-    regime_strides: (
-        IntArray  # (E + 1,)  by how much a regime's number changes with the state of each lash, shaft and friction
-    )
+    # (E + 1,)  by how much a regime's number changes with the state of each lash, shaft and friction
+    regime_strides: IntArray
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
     # by which closed lashes an impact holds, as bits; only the first set, none, of one lash
@@ -149,7 +148,7 @@ def turn_back(system: System, x: FloatArray) -> float:
     """Turn a state back by the angle of the first inertia that rolls, and return it  [rad]."""
     angle = x[system.first_rolling] if system.first_rolling >= 0 else 0.0
     roll(system, -angle, x)
-    return float(angle)
+    return angle
 
 
 def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
@@ -180,7 +179,7 @@ def stride_of_friction(system: System, friction: int) -> int:
 @inlined_part
 def input_of_friction(system: System, friction: int) -> int:
     """The input that is 1 for a friction; the one behind it is the twist at which it sticks."""
-    return int(system.input_count - OF_FRICTION * (system.friction_count - friction))
+    return system.input_count - OF_FRICTION * (system.friction_count - friction)
 
 
 @inlined_part

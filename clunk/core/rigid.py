@@ -225,7 +225,7 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
             if events[last].kind != SEPARATION:
                 twist, _ = rubbing.twist_of(system, system.lashes[lash], at.x)
                 regime += (CLOSED_POSITIVE if twist > 0.0 else CLOSED_NEGATIVE) * system.regime_strides[lash]
-    return int(regime)
+    return regime
 
 
 @part

@@ -205,7 +205,7 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
 
     Where they are closed, that is the torque that pulls at them; where they are open, the one that presses.
     """
-    system, way = at.system, float(at.system.contacts[before, lash].side)
+    system, way = at.system, at.system.contacts[before, lash].side
     if system.contacts[regime, lash].closed == 0:
         way = -way
     functional = lash * system.functionals_per_lash + FORCE
@@ -301,7 +301,7 @@ def is_carried(at: Moment, regime: int, lash: int) -> bool:
     rests = half_gap - abs(twist) <= _WITHIN * (half_gap + size)
     rate, most = _rate(system, system.lashes[lash], 0.0, at.x)
     held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
-    return bool(system.friction_count > 0 and held and rests and abs(rate) <= _WITHIN * most)
+    return system.friction_count > 0 and held and rests and abs(rate) <= _WITHIN * most
 
 
 @part

@@ -118,7 +118,7 @@ def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, l
     event.regime = regime
     event.lash = lash
     event.side = side
-    event.primary = int(lash >= 0 and take_event(log.courses[lash], event, at.system.sticking_time[lash]))
+    event.primary = lash >= 0 and take_event(log.courses[lash], event, at.system.sticking_time[lash])
     if log.states.shape[0] > k:
         copy(at.x, log.states[k])
 
@@ -134,7 +134,7 @@ def begin_windows(log: Log, k: int) -> None:
         elif event.primary != 0 and event.lash == lash:  # its window is empty: anything counts
             window[0], window[1] = -np.inf, np.inf
         else:
-            window[0], window[1] = log.extremes[k - 1, lash, 0], log.extremes[k - 1, lash, 1]
+            copy(log.extremes[k - 1, lash], window)
 
 
 @part

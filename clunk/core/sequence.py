@@ -53,7 +53,7 @@ def take_event(course: Any, event: Any, sticking_time: float) -> bool:
     elif event.kind == LOCK:
         course.contact_began = event.time
     elif event.kind == SEPARATION:
-        course.from_sticking = int(is_sticking(event.time - course.contact_began, sticking_time))
+        course.from_sticking = is_sticking(event.time - course.contact_began, sticking_time)
     return primary
 
 

@@ -149,7 +149,7 @@ def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
 @inlined_part
 def is_instant(at: Moment, last: float) -> bool:
     """Whether the phase that the last event, at a time, began has lasted no time: then it has no extremes."""
-    return at.system.element_count > 1 and bool(at.time - last < INSTANT)
+    return at.system.element_count > 1 and at.time - last < INSTANT
 
 
 @inlined_part

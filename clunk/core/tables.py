@@ -136,7 +136,7 @@ class StagedShaft(NamedTuple):
     @property
     def torques(self) -> FloatArray:
         """(m + 1,) the torque at twist 0 of the line that each stage is on  [N m]."""
-        rest = int(np.count_nonzero(alike(self.breakpoints < 0.0)))
+        rest = np.count_nonzero(alike(self.breakpoints < 0.0))
         jumps = np.zeros(self.stiffness.shape)
         np.cumsum(-np.diff(self.stiffness) * self.breakpoints, axis=-1, out=jumps[..., 1:])
         return jumps - jumps[..., rest, None]
@@ -277,8 +277,8 @@ def build_tables(
             for k, friction in enumerate(frictions)
         ),
     ]
-    chosen = combinations([len(element.states) for element in elements])
-    strides = _strides([len(element.states) for element in elements])
+    counts = [len(element.states) for element in elements]
+    chosen, strides = combinations(counts), _strides(counts)
     flow_strides = _strides([1 + max(state.flow for state in element.states) for element in elements])
     most = sum(max(len(state.guards) + len(state.watched) for state in element.states) for element in elements)
     regimes, contacts = np.zeros(len(chosen), REGIME), np.zeros((len(chosen), count), CONTACT)
@@ -292,7 +292,7 @@ def build_tables(
         rows = [(e, guard) for e, state in enumerate(active) for guard in state.guards]
         ending = len(rows)
         rows += [(e, guard) for e, state in enumerate(active) for guard in state.watched]
-        flow = int(np.dot([state.flow for state in active], flow_strides[:-1]))
+        flow = np.dot([state.flow for state in active], flow_strides[:-1])
         sides = [int(state.weight) for state in active[:count]]
         functionals = [elements[e].functional + guard.functional for e, guard in rows]
         signs = [guard.sign * (sides[e] or 1 if e < count else 1) for e, guard in rows]
@@ -308,7 +308,7 @@ def build_tables(
         for g, (e, guard) in enumerate(rows):
             successor, zero_guard = -1, -1
             if guard.successor >= 0:
-                successor = k + int(strides[e]) * (guard.successor - number[e])
+                successor = k + strides[e] * (guard.successor - number[e])
                 if guard.zero_guard >= 0:
                     zero_guard = sum(len(state.guards) for state in active[:e]) + guard.zero_guard
             guards[k, g] = (

@@ -161,7 +161,7 @@ def run_tile(
     # runs were over in any order: put their impacts in that of the cells
     counts = output.cells["primary_impacts"][first:done].sum(axis=1, dtype=np.int64)
     behind = np.cumsum(counts)
-    written = int(counts.sum())
+    written = counts.sum()
     impacts[:written] = impacts[np.arange(written) + np.repeat(begins[: done - first] - behind + counts, counts)]
     return done, written
 
@@ -275,10 +275,7 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
         status, regime = switching.preload(system, cases.before[k], x)
     for lash in range(system.lash_count):
         cell = cells[lash]
-        cell.severity = np.nan
-        cell.approach_velocity = np.nan
-        cell.last_event_time = np.nan
-        cell.margin = np.nan
+        cell.severity = cell.approach_velocity = cell.last_event_time = cell.margin = np.nan
         cell.touches = 0
         cell.initial_side = system.contacts[regime, lash].side if status == OK else 0
         cell.status = status

@@ -55,8 +55,7 @@ def evaluate(watch: Table, work: FloatArray, amplitudes: FloatArray, size: int) 
     amplitudes : (C/2, W) float64
     size : C
     """
-    zero = vectors.splat(0.0)
-    value, slope, curvature, third, sixth, sway = zero, zero, zero, zero, zero, zero
+    value = slope = curvature = third = sixth = sway = vectors.splat(0.0)
     for begin in range(0, size, ROW):
         for k in range(PAIRS):
             p, at = begin + k, begin // ROW * WATCHED + k

@@ -14,7 +14,7 @@ LIMIT = 4  # s, from the phase's beginning to the end of the run, or of the load
 KINK = 5  # 1 while another piece of the load is still to come, else 0
 _FIRST = 6
 # Then those of each lash, see `of_lash`.
-WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
+WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact, as in `runs.Log`
 # A step writes back all up to the last lash's window, and leaves alone what lies behind it. It reads 8 numbers at a
 # time: four inertias with one lash, under a load without a wave, have no more than 32.
 MARGIN = 2

@@ -96,9 +96,8 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own[rows.SIDE] = -1.0 if mirrored else 1.0
         own[rows.SCALE] = scale
     for n in range(entered.watched):
-        shift = weigh(system.offsets[regime, n], inputs)
-        numbers[rows.shift(n, system.lash_count)] = shift
-    push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
+        numbers[rows.shift(n, system.lash_count)] = weigh(system.offsets[regime, n], inputs)
+    push(space.pool, space.queues.enter + entered.group, slot)
 
 
 @part
@@ -168,8 +167,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     if not np.isfinite(total):
         _end(space, slot, NON_FINITE, time)
         return
-    switches = by_event or system.friction_count > 0
-    if switches and not may_switch(at, log, row.count, row.stages):
+    if (by_event or system.friction_count > 0) and not may_switch(at, log, row.count, row.stages):
         _end(space, slot, EVENT_BUFFER_FULL, time)
         return
     set_torque(system, space.loads[row.load], row.piece, time, at.inputs)
@@ -194,8 +192,7 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
         begin_windows(log, row.count - 1)
         for lash in range(at.system.lash_count):
             own = space.numbers[slot, lash_at(space, lash) :]
-            window = log.extremes[row.count - 1, lash]
-            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = window[0], window[1]
+            copy(log.extremes[row.count - 1, lash], own)  # to WINDOW_MAX and WINDOW_MIN
     entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
     row.stages += entry.written == row.count  # one that is not written, which takes no room for events
     _take_events(space, slot, row.count, entry.written)
@@ -217,8 +214,8 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
 def _close_phase(space: Workspace, slot: int, k: int) -> None:
     """Write the extremes of the accelerations in a run's windows so far beside event `k`."""
     for lash in range(space.system.lash_count):
-        own, window = space.numbers[slot, lash_at(space, lash) :], space.extremes[slot, k, lash]
-        window[0], window[1] = own[rows.WINDOW_MAX], own[rows.WINDOW_MIN]
+        own = space.numbers[slot, lash_at(space, lash) :]
+        copy(own[:2], space.extremes[slot, k, lash])  # WINDOW_MAX and WINDOW_MIN
 
 
 @inlined_part

@@ -478,7 +478,7 @@ def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) ->
             lane = vectors.first_of(among)
             among &= among - 1
             slot = space.pool.items[lane]
-            mask |= int(label_hangs_on_depth(space, slot, n)) << lane
+            mask |= label_hangs_on_depth(space, slot, n) << lane
             space.notes[0, lane] = system_of(space, slot).end_time[0]
         depths |= mask
         if mask != 0:

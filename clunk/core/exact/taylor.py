@@ -46,7 +46,8 @@ def expand(
 @part
 def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
     """Value, slope and half the second derivative of a series, by Horner's rule."""
-    value, slope, half = vectors.load(c, TERMS - 1), vectors.splat(0.0), vectors.splat(0.0)
+    value = vectors.load(c, TERMS - 1)
+    slope = half = vectors.splat(0.0)
     for k in range(TERMS - 2, -1, -1):
         half = fused(half, s, slope)
         slope = fused(slope, s, value)

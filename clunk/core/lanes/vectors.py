@@ -168,9 +168,7 @@ def _binary(operations: tuple[Any, ...], result: Any, emit: Callable[..., Any]) 
 
     def typed(context: Any) -> Any:
         def types_of(a: Any, b: Any) -> Any:
-            if _LANES in (a, b) and all(type_ in (_LANES, types.float64) for type_ in (a, b)):
-                return result
-            return None
+            return result if _LANES in (a, b) and {a, b} <= {_LANES, types.float64} else None
 
         return types_of
 

@@ -13,7 +13,7 @@ from clunk.core.jit import part
 from clunk.core.regimes import ROUNDING, System
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import Steps
-from clunk.core.sums import weigh
+from clunk.core.sums import copy, weigh
 from clunk.core.switching import set_weighed
 from clunk.core.tables import ACCELERATION
 
@@ -79,8 +79,7 @@ def enter(room: Room, system: System, regime: int) -> None:
 def expand(system: System, flow: int, x: FloatArray, room: Room) -> None:
     """The step as a polynomial of its length: RK4's own for a linear regime."""
     taylor, size = room.taylor, x.size
-    for k in range(size):
-        taylor[0, k] = x[k]
+    copy(x, taylor[0])
     for order in range(1, 5):
         for row in range(size):
             value = 0.0
