@@ -227,14 +227,14 @@ def by_exact(
     admitted, oldest, written, full = first, first, 0, False
     while True:
         while spare > 0 and admitted < cells.shape[0] and not full:
-            before, driveline = cases.before[admitted], cases.drivelines[admitted % cases.drivelines.size]
+            driveline = cases.drivelines[admitted % cases.drivelines.size]
             regime = _begin(system_at(space, driveline), cases, admitted, cells[admitted], x)
             if cells[admitted, 0].status == OK:
                 spare -= 1
                 slot = free[spare]
                 space.runs[slot].tag = admitted
                 load = admitted % cases.loads.shape[0]
-                exact.begin(space, slot, driveline, Start(x, regime, before, cases.loads, load))
+                exact.begin(space, slot, driveline, Start(x, regime, cases.before[admitted], cases.loads, load))
             else:
                 begins[admitted - first] = written
             admitted += 1
@@ -251,8 +251,7 @@ def by_exact(
             spare += 1
             log = log_of(space, slot)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
-            of_run = system_of(space, slot)
-            primaries = _finish(of_run, undecided, outcome, log, max_events, output, k, written)
+            primaries = _finish(system_of(space, slot), undecided, outcome, log, max_events, output, k, written)
             # Room stays free for the oldest, so that every call returns one cell at least. Cells behind one that is not
             # done are run again by the next call.
             if written + primaries + (0 if k == oldest else max_events) > output.impacts.size:
