@@ -26,10 +26,11 @@ from clunk.explorer.controls import adjustable, slider_range
 from clunk.explorer.figures import MapFigure, Message, thinned
 from clunk.explorer.newest import Newest
 from clunk.explorer.server import explore
-from clunk.explorer.subject import Subject, of_one_cell
+from clunk.explorer.subject import Subject
 from clunk.explorer.workbench import Workbench
 from clunk.plot.style import colour_of
 from clunk.study.config import study_from_text
+from clunk.study.designs import of_one_cell
 from clunk.study.parameters import located
 
 CONFIGS = Path(__file__).parent.parent / "configs"

@@ -21,12 +21,11 @@ from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.results.store import dataset_of
 from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import nominal
-from clunk.study.document import dotted, leaves
+from clunk.study.designs import nominal, of_one_cell
+from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.records import SENTENCE, Record, counted, percent, tells, told
 from clunk.study.study import Study
-from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
@@ -238,11 +237,7 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
     >>> methods.cells, methods.differing
     (441, 0)
     """
-    grid = nominal(study)
-    if study.sweep is None:
-        parameter = dotted((*study.lash_places[0], "backlash_deg"))
-        one = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
-        grid = study.but(sweep=Sweep(axes=(one,)))
+    grid = of_one_cell(study) if study.sweep is None else nominal(study)
     return compare(*(sweep(with_method(grid, method), workers=workers, progress=progress) for method in METHODS))
 
 

@@ -51,9 +51,8 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
         if overrides:
             raise click.UsageError("--set goes with a config; on the page, the numbers of a file have sliders.")
         return read_map(source)
-    from clunk.explorer.subject import of_one_cell
     from clunk.study.config import load_study
-    from clunk.study.designs import nominal
+    from clunk.study.designs import nominal, of_one_cell
     from clunk.sweeping.sweep import Job
 
     study = load_study(source, overrides)

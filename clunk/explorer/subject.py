@@ -17,9 +17,8 @@ from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, nominal
 from clunk.study.errors import ClunkError
-from clunk.study.parameters import nominal_value
 from clunk.study.study import Study, replace_values, to_toml
-from clunk.study.sweeps import Axis, Sweep
+from clunk.study.sweeps import Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
@@ -129,13 +128,6 @@ class Subject:
         study = replace_values(self.study.but(sweep=None), {**fixed, **numbers})
         axes = tuple(axis for axis in self.study.swept.axes if axis.parameter in shown)
         return study.but(sweep=self.study.sweep if self._has_runs else Sweep(axes=axes))
-
-
-def of_one_cell(study: Study) -> Study:
-    """A study without a sweep as one of a single cell, so that it has results."""
-    key = "solver.end_time"  # any key does that every study has
-    axis = Axis(parameter=key, values=(nominal_value(study, key),))
-    return study.but(sweep=Sweep(axes=(axis,)))
 
 
 def position(axes: tuple[ResultAxis, ...], cell: Numbers) -> tuple[int, ...]:

@@ -127,6 +127,13 @@ def nominal(study: Study) -> Study:
     return study.but(sweep=study.sweep.but(tolerances=()))
 
 
+def of_one_cell(study: Study) -> Study:
+    """A study without a sweep as one of a single cell, so that it has results."""
+    parameter = dotted((*study.lash_places[0], "backlash_deg"))  # any key does that every study has
+    axis = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
+    return study.but(sweep=Sweep(axes=(axis,)))
+
+
 def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
     """The study with some axes cut down to one value each; values : parameter -> value, in the key's unit."""
     axes = tuple(
