@@ -20,6 +20,7 @@ from clunk.cli.options import (
     json_option,
     lash_option,
     nearest_values,
+    output_option,
     study_argument,
     workers_option,
 )
@@ -80,7 +81,7 @@ def fit(
 
 @click.command()
 @study_argument
-@click.option("-o", "--output", type=PATH, help="Also write the config with the best values (.toml).")
+@output_option(help="Also write the config with the best values (.toml).")
 @click.option("--front", "traded", metavar="QUANTITY", help="Also find the least value for eight bounds on a quantity.")
 @click.option("--plot", "picture", type=PATH, help="Draw the run before and after, or the front: .png .svg .pdf.")
 @lash_option
@@ -156,7 +157,7 @@ def optimize(
 )
 @lash_option
 @workers_option
-@click.option("-o", "--output", type=PATH, help="Also draw the indices: .png .svg .pdf.")
+@output_option(help="Also draw the indices: .png .svg .pdf.")
 @json_option
 def sensitivity(
     config: Path,
@@ -228,7 +229,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @lash_option
 @at_option
 @workers_option
-@click.option("-o", "--output", type=PATH, help="Data (.csv .json), or a picture (.png .svg .pdf).")
+@output_option(help="Data (.csv .json), or a picture (.png .svg .pdf).")
 @json_option
 def thresholds(
     config: Path,
@@ -257,7 +258,6 @@ def thresholds(
           --of double_sided --quantiles 0.5,0.95,0.99
     """
     from clunk.analysis import thresholds as analysis
-    from clunk.analysis.thresholds import check_quantiles, threshold_quantiles
     from clunk.results import files
     from clunk.study.designs import nominal, with_axes_at
 
@@ -265,11 +265,11 @@ def thresholds(
     if at:
         swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
         study = with_axes_at(study, nearest_values(swept, at, study))
-    is_toleranced = bool(study.swept.tolerances)
+    is_toleranced = study.swept.tolerances != ()
     if quantiles and not is_toleranced:
         raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")
     shares = quantiles or (0.5, 0.95)
-    check_quantiles(shares)
+    analysis.check_quantiles(shares)
     is_picture = output is not None and output.suffix.lower() in files.PICTURES
     files.check(output, (".csv", ".json", *files.PICTURES), reads=config)
     if is_picture:
@@ -278,7 +278,7 @@ def thresholds(
         plot.other_axis(analysis.axes_of(study, along)[1])
     terminal.warn_of_coarse_step(study)
     located = analysis.thresholds(study, along=along, of=outcome, progress=True, **options)
-    result = threshold_quantiles(located, shares) if is_toleranced else located
+    result = analysis.threshold_quantiles(located, shares) if is_toleranced else located
     if as_json:
         tables.print_record(result.rows())
     else:

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, PATH, json_option, study_argument, workers_option
+from clunk.cli.options import (
+    EXIT_FAILED_CELLS,
+    EXIT_MISMATCH,
+    PATH,
+    json_option,
+    output_option,
+    study_argument,
+    workers_option,
+)
 
 if TYPE_CHECKING:
     from clunk.study.study import Study
@@ -18,7 +26,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("a", type=PATH)
 @click.argument("b", type=PATH)
-@click.option("-o", "--output", type=PATH, help="Also draw where they differ: .png .svg .pdf.")
+@output_option(help="Also draw where they differ: .png .svg .pdf.")
 @click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
 @json_option
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:

@@ -5,11 +5,11 @@ from pathlib import Path
 import click
 
 from clunk.cli import terminal
-from clunk.cli.options import PATH
+from clunk.cli.options import PATH, file_argument
 
 
 @click.command()
-@click.argument("file", type=PATH)
+@file_argument
 @click.argument("output", type=PATH)
 def export(file: Path, output: Path) -> None:
     """Write a map, or its boundaries, for other programs.

@@ -5,12 +5,12 @@ from pathlib import Path
 import click
 
 from clunk.cli import tables
-from clunk.cli.options import PATH, json_option
+from clunk.cli.options import file_argument, json_option
 from clunk.study.records import fill
 
 
 @click.command()
-@click.argument("file", type=PATH)
+@file_argument
 @click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
 @click.option("--check", is_flag=True, help="Also say that its bytes match their checksum.")
 @json_option

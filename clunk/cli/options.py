@@ -24,6 +24,9 @@ EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 PATH = click.Path(path_type=Path)
 
+file_argument = click.argument("file", type=PATH)
+output_option = functools.partial(click.option, "-o", "--output", type=PATH)
+
 set_option = click.option(
     "--set",
     "overrides",

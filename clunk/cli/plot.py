@@ -7,14 +7,14 @@ from typing import Any
 import click
 
 from clunk.cli import completion
-from clunk.cli.options import PATH, at_option, nearest_values
+from clunk.cli.options import at_option, file_argument, nearest_values, output_option
 
 _NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
 
 
 @click.command()
-@click.argument("file", type=PATH)
-@click.option("-o", "--output", type=PATH, help="Picture: .png, .svg or .pdf [FILE.png].")
+@file_argument
+@output_option(help="Picture: .png, .svg or .pdf [FILE.png].")
 @click.option(
     "--quantity",
     metavar="NAME",

@@ -5,12 +5,12 @@ from pathlib import Path
 import click
 
 from clunk.cli import terminal
-from clunk.cli.options import PATH, at_option, nearest_values
+from clunk.cli.options import at_option, file_argument, nearest_values, output_option
 
 
 @click.command()
-@click.argument("file", type=PATH)
-@click.option("-o", "--output", type=PATH, help="Page: .html [FILE.html].")
+@file_argument
+@output_option(help="Page: .html [FILE.html].")
 @at_option
 def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     """Write a page of HTML on a results file.
@@ -22,7 +22,6 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     """
     from clunk.plot.page import page
     from clunk.results import files
-    from clunk.results.files import write_text
     from clunk.results.netcdf import content_digest
     from clunk.results.store import dataset_of, read_map
 
@@ -32,5 +31,5 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     if at:
         part = results.at(nearest_values(results.axes, at, results.tables))
     digests = [("config digest", results.config_digest), ("content digest", content_digest(dataset_of(results)))]
-    write_text(target, page(part, digests))
+    files.write_text(target, page(part, digests))
     terminal.say_written(target)

@@ -6,11 +6,11 @@ from pathlib import Path
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, workers_option
+from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, output_option, workers_option
 
 
 @click.command()
-@click.option("-o", "--output", type=PATH, default="results/reproduction", help="Directory of the figures.")
+@output_option(default="results/reproduction", help="Directory of the figures.")
 @workers_option
 @click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
 @click.option("--table", type=PATH, help="Also write the claims into this Markdown file.")

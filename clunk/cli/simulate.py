@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clunk.cli import completion, tables, terminal
-from clunk.cli.options import PATH, at_option, cell_values, json_option, set_option, study_of
+from clunk.cli.options import PATH, at_option, cell_values, json_option, output_option, set_option, study_of
 from clunk.study.records import Told, fill, words
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
     multiple=True,
     help="A run for each value. May be repeated.",
 )
-@click.option("-o", "--output", type=PATH, help="Picture (.png .svg .pdf), or data (.csv).")
+@output_option(help="Picture (.png .svg .pdf), or data (.csv).")
 @click.option(
     "--figure",
     type=click.Choice(_FIGURES),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, study_argument
+from clunk.cli.options import EXIT_FAILED_CELLS, json_option, output_option, study_argument
 from clunk.study.records import counted
 from clunk.sweeping import progress
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @study_argument
-@click.option("-o", "--output", type=PATH, help="Results file [results/CONFIG.h5].")
+@output_option(help="Results file [results/CONFIG.h5].")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")

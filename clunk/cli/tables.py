@@ -10,7 +10,7 @@ import click
 from clunk.study.records import Record, Row, plain, table, text_of, value_lines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
     from clunk.results.maps import AnyMap
 
@@ -38,14 +38,6 @@ def print_values(rows: Iterable[tuple[str, str]]) -> None:
     click.echo("\n".join(value_lines(rows)))
 
 
-def by_lash(results: AnyMap) -> Iterator[Any]:
-    """The map of each lash; of several, each is announced by its name."""
-    for k, (name, part) in enumerate(results.by_lash().items()):
-        if results.lashes:
-            click.echo(("\n" if k else "") + name)
-        yield part
-
-
 def of_lashes(values: dict[str, Any]) -> dict[str, Any]:
     """Records by lash for JSON; that of an only lash alone."""
     return {"lashes": values} if len(values) > 1 else next(iter(values.values()))
@@ -53,7 +45,9 @@ def of_lashes(values: dict[str, Any]) -> dict[str, Any]:
 
 def print_outcomes(results: AnyMap) -> None:
     """Print how many cells each label has, or how likely it is, and other facts; lash by lash."""
-    for part in by_lash(results):
+    for k, (name, part) in enumerate(results.by_lash().items()):
+        if results.lashes:
+            click.echo(("\n" if k else "") + name)
         print_table(part.label_table())
         click.echo()
         print_values(part.facts)
