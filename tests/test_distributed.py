@@ -127,14 +127,14 @@ def words(text):
 class TestTheSameBits:
     def test_as_by_threads(self, two_workers, map_17, whole):
         with Cluster(two_workers.address) as engine:
-            assert equal(sweep(map_17, engine=engine), whole)
+            assert equal(Job(map_17).run(engine), whole)
 
     @pytest.mark.parametrize("method", ["rk4", "exact"])
     def test_where_each_cell_has_its_own_system(self, two_workers, method):
         own = study(("driveline.inertias[1]", np.linspace(0.01, 0.05, 12)), ("load.ratio", [2.0, 5.0, 9.0]))
         own = own.model_copy(update={"solver": own.solver.model_copy(update={"method": method})})
         with Cluster(two_workers.address) as engine:
-            assert equal(sweep(own, engine=engine), sweep(own))
+            assert equal(Job(own).run(engine), sweep(own))
 
     def test_of_a_tolerance_map(self, two_workers):
         toleranced = load_study(
@@ -168,7 +168,7 @@ class TestTheSameBits:
                 two_workers.worker()
 
         with Cluster(two_workers.address) as engine:
-            assert equal(sweep(map_17, engine=engine, progress=progress), whole)
+            assert equal(Job(map_17).run(engine, progress=progress), whole)
         assert third.returncode == -signal.SIGKILL
 
 
@@ -206,7 +206,7 @@ class TestWhatIsRefused:
         monkeypatch.setattr(distributed, "versions", lambda: here)
         another = r"Worker tcp://.* has another numba: 0\.[0-9.]* there, 0\.1 here"
         with Cluster(two_workers.address) as engine, pytest.raises(EngineError, match=another):
-            sweep(map_17, engine=engine)
+            Job(map_17).run(engine)
 
     def test_a_worker_without_clunk(self, alone, map_17):
         alone.worker(preload="import sys; sys.modules['clunk'] = None")
@@ -214,7 +214,7 @@ class TestWhatIsRefused:
             Cluster(alone.address) as engine,
             pytest.raises(EngineError, match=r"could not run its cells .*the same installation as here"),
         ):
-            sweep(map_17, engine=engine)
+            Job(map_17).run(engine)
 
 
 class TestAnEndBeforeTheEnd:
@@ -229,7 +229,7 @@ class TestAnEndBeforeTheEnd:
                 alone.worker(OPENBLAS_CORETYPE="Prescott")
 
         with Cluster(alone.address, say=say) as engine:
-            assert equal(sweep(shared, engine=engine), sweep(shared))
+            assert equal(Job(shared).run(engine), sweep(shared))
         assert said == [f"waiting for a worker of {alone.address} …"]
 
     @posix
@@ -258,7 +258,7 @@ class TestAnEndBeforeTheEnd:
                 nanny=True,
             )
         with Cluster(alone.address) as engine, pytest.raises(EngineError, match="run by 4 workers that died"):
-            sweep(map_17, engine=engine)
+            Job(map_17).run(engine)
 
     @posix
     @pytest.mark.slow

@@ -12,7 +12,7 @@ from test_sweeping import equal, figure_3_4
 
 from clunk.sweeping import engines
 from clunk.sweeping.engines import Threads, run_tiles
-from clunk.sweeping.sweep import sweep
+from clunk.sweeping.sweep import Job, sweep
 
 
 class OneAtATime(Executor):
@@ -28,7 +28,7 @@ class OneAtATime(Executor):
 def test_any_executor_is_an_engine(engine):
     study = figure_3_4(9, step=2e-4)
     with ProcessPoolExecutor(2, get_context("spawn")) if engine == "processes" else engine as executor:
-        assert equal(sweep(study, engine=executor), sweep(study))
+        assert equal(Job(study).run(executor), sweep(study))
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers are POSIX")

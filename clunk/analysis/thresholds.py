@@ -59,8 +59,8 @@ _HALVINGS = 16  # of the spacing where something may be hidden: with 22 no more 
 _MOST = 32  # thresholds between two neighbours that are resolved
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Thresholds:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Thresholds(Design):
     """The thresholds of an outcome along a key, in each cell of the other axes.
 
     Cells are numbered in C order of the other axes; without any there is one. n counts the thresholds of all cells,
@@ -84,7 +84,6 @@ class Thresholds:
 
     study: Study
     along: ResultAxis
-    axes: tuple[ResultAxis, ...]
     outcome: Quantity
     words: tuple[Word, ...]
     lowest: Codes
@@ -103,19 +102,13 @@ class Thresholds:
         rows += [("cells", f"{axis.parameter}: {axis.spread}") for axis in self.axes]
         return as_text(f"clunk.Thresholds {self.study.title!r}", [*rows, ("thresholds", f"{self.value.size:,}")])
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The other axes' counts in order."""
-        return tuple(len(axis.values) for axis in self.axes)
-
     def word(self, code: int) -> Word:
         """The outcome of a code."""
         return {FAILED_CODE: FAILED, UNCERTAIN_CODE: UNCERTAIN}.get(code) or self.words[code]
 
     def at(self, cell: int) -> dict[str, float]:
         """Values of the other axes in a cell, by parameter."""
-        places = np.unravel_index(cell, self.shape) if self.shape else ()
-        return {axis.parameter: float(axis.values[k]) for axis, k in zip(self.axes, places, strict=True)}
+        return {key: float(value) for key, value in self.columns(np.array(cell)).items()}
 
     @property
     def unresolved(self) -> list[tuple[int, float, float]]:

@@ -123,41 +123,38 @@ class Job:
         Raises as `clunk.sweep`.
         """
         with reporting(progress, self.design.cells, self.study) as report:
-            return self._run(engine, workers, report)
-
-    def _run(self, engine: Executor | None, workers: int | None, progress: Progress | None) -> AnyMap:
-        began = time.perf_counter()
-        reduction, parts = self._reduction, self.parts
-        shared = reduction.grid.shared()
-        if shared is not None and (status := Status(shared.status)) != Status.OK:
-            raise ClunkError(f"No cell can run: {explained(self.study, status)}.")
-        if parts is not None:
-            for tile in parts.read():
-                reduction.add(tile)
-            if parts.discarded:
-                discarded = counted(parts.discarded, "part")
-                self._say(f"{discarded} of other versions, or damaged: their cells are run again")
-            if parts.taken_up:
-                self._say(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there")
-        before = reduction.done
-        if before and progress is not None:
-            progress(before, self.design.cells)
-        try:
-            reduction.run(engine, workers, progress, None if parts is None else parts.add)
-        except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
+            began = time.perf_counter()
+            reduction, parts = self._reduction, self.parts
+            shared = reduction.grid.shared()
+            if shared is not None and (status := Status(shared.status)) != Status.OK:
+                raise ClunkError(f"No cell can run: {explained(self.study, status)}.")
             if parts is not None:
-                parts.flush()
-            if self.path is not None:
-                stopped.add_note(
-                    f"{parts.kept:,} cells are kept in {parts.directory.path}; the same command goes on from there"
-                    if parts is not None and parts.kept
-                    else "no cell was finished"
-                )
-            raise
-        make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
-        result = make(reduction, provenance(engine))
-        self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
-        return result
+                for tile in parts.read():
+                    reduction.add(tile)
+                if parts.discarded:
+                    discarded = counted(parts.discarded, "part")
+                    self._say(f"{discarded} of other versions, or damaged: their cells are run again")
+                if parts.taken_up:
+                    self._say(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there")
+            before = reduction.done
+            if before and report is not None:
+                report(before, self.design.cells)
+            try:
+                reduction.run(engine, workers, report, None if parts is None else parts.add)
+            except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
+                if parts is not None:
+                    parts.flush()
+                if self.path is not None:
+                    stopped.add_note(
+                        f"{parts.kept:,} cells are kept in {parts.directory.path}; the same command goes on from there"
+                        if parts is not None and parts.kept
+                        else "no cell was finished"
+                    )
+                raise
+            make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
+            result = make(reduction, provenance(engine))
+            self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
+            return result
 
 
 @contextmanager
@@ -249,7 +246,6 @@ def sweep(
     design: Design | None = None,
     *,
     workers: int | None = None,
-    engine: Executor | None = None,
     progress: bool | Progress = False,
 ) -> Results:
     """Run the cells of a study in memory.
@@ -258,6 +254,6 @@ def sweep(
     """
     if study.swept.tolerances:
         raise ClunkError(HAS_TOLERANCES)
-    results = Job(study, design).run(engine, workers=workers, progress=progress)
+    results = Job(study, design).run(workers=workers, progress=progress)
     assert isinstance(results, Results)
     return results
