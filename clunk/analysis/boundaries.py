@@ -55,7 +55,7 @@ def require_boundaries(study: Study) -> None:
         check_axis(study, axis, "boundaries")
 
 
-def is_traced(study: Study, asked: bool | None = None) -> bool:
+def is_traced(study: Study, asked: bool | None) -> bool:
     """Whether a sweep of a study traces the boundaries of its map.
 
     It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises

@@ -89,7 +89,7 @@ def read_experiment(path: FilePath) -> Experiment:
 
 def experiment_of(text: str, path: FilePath) -> Experiment:
     """Measurements of a CSV file's text; path : its name. As `read_experiment` otherwise."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
+    lines = text.splitlines(keepends=True)
     comments = [line.strip("# \t\n") for line in lines if line.lstrip().startswith("#")]
     caveats = [each.split(":", 1)[1].strip() for each in comments if each.lower().startswith("caveat:")]
     # Blank in place of a comment, so that the reader's count of lines is the file's.

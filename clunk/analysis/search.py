@@ -20,13 +20,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
-from clunk.study.arrays import Bools, Codes, Floats
+from clunk.study.arrays import Bools, Codes, Floats, Records
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, ConfigError
@@ -39,7 +38,7 @@ from clunk.sweeping.runner import Runner
 # A run of a cell at a value: the code of its outcome, a number that changes sign where that does, NaN where none is
 # known, and its number of touches.
 POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
-Points = npt.NDArray[np.void]  # POINT
+Points = Records  # POINT
 Run = Callable[[Codes, Floats], Points]  # runs cells at values, (n,) each; these need not be in its points
 
 TOLERANCE = 1e-9  # of the span, the widest that a bracket ends

@@ -9,12 +9,13 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba.core import cgutils
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import intrinsic, lower_getattr_generic, models, register_model, types
+
+from clunk.core.arrays import IntArray
 
 Tuple = TypeVar("Tuple")
 
@@ -96,7 +97,7 @@ def _reference_at(_: Any, rows: Any, k: Any, like: Any) -> Any:
     return like(rows, types.intp, like), emit
 
 
-def rows_of(values: Any, each: Any) -> npt.NDArray[np.int64]:
+def rows_of(values: Any, each: Any) -> IntArray:
     """A named tuple of numbers and arrays in the words by which compiled functions know it, D times.
 
     Row k has `each.NAME[k]` in the place of arrays of which `each`, a tuple of the same type, has an axis of D more;
@@ -120,4 +121,4 @@ def rows_of(values: Any, each: Any) -> npt.NDArray[np.int64]:
 # A reference to a named tuple, good in the compiled function that was passed the tuple.
 refer = cast(Callable[[Tuple], Tuple], _reference)
 # A reference to the tuple in row k of `rows_of`, of the same type as another reference.
-reference_at = cast(Callable[[npt.NDArray[np.int64], int, Tuple], Tuple], _reference_at)
+reference_at = cast(Callable[[IntArray, int, Tuple], Tuple], _reference_at)

@@ -77,7 +77,7 @@ class Explorer:
 
     url: str
 
-    def __init__(self, subject: Subject, port: int = 0) -> None:
+    def __init__(self, subject: Subject, port: int) -> None:
         try:
             self._socket = socket.create_server((HOST, port))
         except OSError as error:

@@ -157,9 +157,7 @@ def map_figure(
     return figure
 
 
-def facet_map(
-    results: AnyMap, facets: Sequence[str], quantity: str, x: str | None = None, y: str | None = None
-) -> Figure:
+def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | None, y: str | None) -> Figure:
     """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
 
     Of many values evenly spaced ones are drawn. Raises PlotError where a facet is no axis of several

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.analysis.marks import ridge_of
 from clunk.core.events import TOUCH
@@ -23,7 +22,7 @@ from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.load import load_step
 from clunk.simulation.small_gap import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.arrays import Floats
+from clunk.study.arrays import Array, Floats
 from clunk.study.records import Record, tells, told
 
 NINE = ("NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
@@ -359,7 +358,7 @@ def _experiment(e: Evidence) -> Iterator[Claim]:
     )
 
 
-def _ordered(values: npt.NDArray[Any], axis: int) -> float:
+def _ordered(values: Array, axis: int) -> float:
     """Share of the steps along an axis in which the values do not fall."""
     return float(np.mean(np.diff(values, axis=axis) >= 0))
 

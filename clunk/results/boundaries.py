@@ -112,7 +112,7 @@ class Boundaries:
     region_label: LabelCodes
     region_area: Floats
     unresolved: Floats
-    lash: str = ""
+    lash: str
 
     def label(self, code: int) -> str:
         """The label of a code."""

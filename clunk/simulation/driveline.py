@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core import tables
+from clunk.core.arrays import ComplexArray, FloatArray
 from clunk.core.batches import alike
 from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked, product
@@ -20,12 +20,12 @@ from clunk.core.tables import Friction, StagedShaft
 from clunk.simulation import rigid
 from clunk.simulation.load import run_load, wave_rates
 from clunk.simulation.phases import preload
+from clunk.study.arrays import Bools
 from clunk.study.document import Place
 from clunk.study.errors import ClunkError
 from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
-FloatArray = npt.NDArray[np.float64]
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
 _FAST = 1e6  # rate of a load's wave by the end time: it is over, or turns, long before a run ends
@@ -40,7 +40,7 @@ class Modes:
     frequency: FloatArray  # (k,)  Hz, undamped natural frequency |λ|/2π
     damping_ratio: FloatArray  # (k,)  ζ = -Re λ/|λ|
     overdamped: FloatArray  # (m,)  1/s; a rigid-body drift has 0
-    shapes: npt.NDArray[np.complex128]  # (k, n)  amplitudes of the angles in each mode
+    shapes: ComplexArray  # (k, n)  amplitudes of the angles in each mode
     energy_shares: FloatArray  # (k, n)  of each inertia in the mode's kinetic energy, J |θ|² over the sum
 
 
@@ -148,7 +148,7 @@ class Driveline:
         return tuple(frictions)
 
     @cached_property
-    def is_spring(self) -> npt.NDArray[np.bool_]:
+    def is_spring(self) -> Bools:
         """(S,) whether a shaft has a stiffness, in any stage."""
         springs = self.shaft_stiffness > 0.0
         for k, shaft in self.staged:
@@ -205,7 +205,7 @@ class Driveline:
         order = order[every[order].imag > rounding]
         oscillating, monotone = every[order], every[np.abs(every.imag) <= rounding]
         monotone[np.abs(monotone) <= rounding] = 0.0
-        shapes = np.asarray((ties.expand @ vectors)[: self.inertia.size, order].T, np.complex128)
+        shapes = (ties.expand @ vectors)[: self.inertia.size, order].T
         energy = self.inertia * np.abs(shapes) ** 2
         return Modes(
             frequency=np.abs(oscillating) / (2.0 * np.pi),

@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.core.arrays import ComplexArray
 from clunk.core.reductions import Reduction, constrained
 from clunk.core.regimes import driveline_at
 from clunk.core.status import Status
@@ -151,7 +151,7 @@ def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
     return Reduction(np.delete(reduction.expand, pivots, axis=1), pick, reduction.shift)
 
 
-def _extremes(rates: npt.NDArray[np.complex128], amplitudes: npt.NDArray[np.complex128]) -> Floats:
+def _extremes(rates: ComplexArray, amplitudes: ComplexArray) -> Floats:
     """Minima and maxima of f = Re sum of amplitude · exp(rate t) in turn, a minimum first, until it is too faint."""
     fastest = float(np.max(np.abs(rates.imag), initial=0.0))
     if fastest == 0.0:

@@ -63,7 +63,7 @@ class Layout:
     record: np.dtype[np.void]
     detail: np.dtype[np.void]
     counted_by: str
-    lashes: int = 1
+    lashes: int
 
     def rows(self, cells: Array) -> Array:
         """Numbers of the rows of some cells, in their order, from the cells' numbers."""

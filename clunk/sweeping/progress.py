@@ -58,17 +58,16 @@ def shown(unit: str = "cells") -> Iterator[Progress]:
 
 
 @contextmanager
-def reporting(progress: bool | Progress, cells: int, *studies: Study, what: str = "cells") -> Iterator[Progress | None]:
-    """Function to report progress to; a bar is shown when the kernels that the studies need are compiled."""
+def reporting(progress: bool | Progress, cells: int, study: Study, what: str = "cells") -> Iterator[Progress | None]:
+    """Function to report progress to; a bar is shown when the kernels that the study needs are compiled."""
     from clunk.sweeping.cells import compiling_note, warm_up
 
     if progress is False or cells == 0:
         yield None
     elif progress is True:
-        if note := compiling_note(*studies):
+        if note := compiling_note(study):
             print(note, file=sys.stderr)
-        for study in studies:
-            warm_up(study)
+        warm_up(study)
         with shown(what) as report:
             yield report
     else:

@@ -96,9 +96,9 @@ class Reduction:
 
     def run(
         self,
-        engine: Executor | None = None,
-        workers: int | None = None,
-        progress: Progress | None = None,
+        engine: Executor | None,
+        workers: int | None,
+        progress: Progress | None,
         keep: Callable[[Tile], None] | None = None,
     ) -> None:
         """Run the cells that have not been added; of these, none that runs at an interrupt.

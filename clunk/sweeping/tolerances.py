@@ -8,13 +8,12 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import QUANTILES, ToleranceMap
-from clunk.study.arrays import Cells, Floats, LabelCodes
+from clunk.study.arrays import Array, Cells, Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import along_run
 from clunk.study.parameters import drawn_numbers, nominal_value, quantity
@@ -134,9 +133,7 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
     )
 
 
-def _summary(
-    codes: LabelCodes, severity: Floats, status: npt.NDArray[np.uint8]
-) -> tuple[tuple[Any, ...], dict[int, int]]:
+def _summary(codes: LabelCodes, severity: Floats, status: Array) -> tuple[tuple[Any, ...], dict[int, int]]:
     """A cell's TOLERANCE_CELL, and how many draws have each code; of its runs, the last is the nominal one."""
     nominal = int(codes[-1])
     runs = {} if nominal == FAILED_CODE else {nominal: 0}
