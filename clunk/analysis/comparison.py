@@ -259,7 +259,7 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
         tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * np.abs(axis_a.values))
         apart = np.abs(axis_a.values - axis_b.values) > tolerance
         if apart.any():
-            k = int(np.argmax(apart))
+            k = np.argmax(apart)
             raise ClunkError(
                 f"The maps cannot be compared: value {k + 1} of {axis_a.parameter} is {axis_a.values[k]:.10g} in A and "
                 f"{axis_b.values[k]:.10g} in B."

@@ -278,7 +278,7 @@ def fit(
         count = len(candidates.matches)
         if report is not None:
             report(count, count)
-    best = int(losses(candidates.matches, candidates.wanted, settings).argmin())
+    best = losses(candidates.matches, candidates.wanted, settings).argmin()
     return Fitted(
         study=study,
         experiment=experiment,

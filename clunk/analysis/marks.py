@@ -36,7 +36,7 @@ def ridge_of(values: Floats) -> Floats:
     for row, column in enumerate(values):
         if np.isnan(column).all():
             continue
-        top = int(np.nanargmax(column))
+        top = np.nanargmax(column)
         interior = 0 < top < len(column) - 1 and np.isfinite(column[[top - 1, top + 1]]).all()
         if interior and column[top] > 0.0 and not (column[[0, -1]] > 0.999 * column[top]).any():
             ridge[row] = top

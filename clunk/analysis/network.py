@@ -128,7 +128,7 @@ def regions_of(rings: list[Ring]) -> list[list[Ring]]:
 
 def _ring(label: int, vertices: Floats) -> Ring:
     x, y = (vertices - vertices[0]).T
-    return Ring(label, vertices, float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])))
+    return Ring(label, vertices, 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
 
 
 def _contains(ring: Ring, point: Floats) -> bool:

@@ -233,7 +233,7 @@ class PointRuns:
         progress: Progress | None = None,
     ) -> None:
         self.runner = Runner(measuring(study, [outcome]), parameters, engine=engine)
-        self.outcome, self._lash = outcome, str(lash + 1)
+        self.outcome, self._lash = outcome, lash + 1
         self._progress, self.count = progress, 0
         self.failures = Counter[Status]()  # number of runs by cause
         self._codes = {word: code for code, word in enumerate(words)}
@@ -279,7 +279,7 @@ class PointRuns:
     def _measure(self, results: Results) -> Floats:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
         if self.outcome.name == CHATTER:
-            return np.asarray(results.touches - results.primary_impacts - 0.5, np.float64)
+            return results.touches - results.primary_impacts - 0.5
         base = self.outcome if self.outcome.base is None else self.outcome.base
         if base.type in (TEXT, YES_NO):
             return results.margin

@@ -269,7 +269,7 @@ def _indices(
     """
     values = quantity.of_runs(runs)
     pages = values[:-1].reshape(shape)
-    if undefined := int(np.count_nonzero(np.isnan(pages))):
+    if undefined := np.count_nonzero(np.isnan(pages)):
         raise ClunkError(
             f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs, in which nothing happens; "
             "ask for another quantity."

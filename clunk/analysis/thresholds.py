@@ -247,7 +247,7 @@ def thresholds(
             return runs
 
         points, _ = with_hidden(run(points["cell"], points["value"]), run, _HALVINGS)
-        span = float(np.ptp(along_axis.values))
+        span = np.ptp(along_axis.values)
         low, high = narrow(points, run, _MOST, span)
     return Thresholds(
         study=study,

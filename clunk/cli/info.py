@@ -49,7 +49,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         swept = [axis.parameter.removeprefix("load.") for axis in results.parameters]
         rows.append(("load", ", ".join([PROFILES[load["profile"]].name, *numbers(load, swept)])))
     rows.append(("config", f"{results.config_digest[:16]}…"))
-    rows += [(name.removesuffix("_version"), str(value)) for name, value in results.attributes.items()]
+    rows += [(name.removesuffix("_version"), value) for name, value in results.attributes.items()]
     if check:
         rows.append(("checked", "the bytes match their checksum"))
     click.echo(f"{results.title}\n")

@@ -92,4 +92,4 @@ def plot(
             target = base.with_name(f"{base.stem}{of_lash}{of_quantity}{base.suffix}")
             figure = plots.draw(part, name, thresholds, **look)
             plots.save(figure, target)
-            click.echo(str(target))
+            click.echo(target)

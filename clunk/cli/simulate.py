@@ -164,11 +164,11 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
         "end": trajectory.end,
         "events": [
             {
-                "time": float(event["time"]),
+                "time": event["time"],
                 "event": trajectory.kind_name(k),
                 **({"lash": trajectory.lash_name(k)} if several else {}),
                 "flank": trajectory.flank_name(k),
-                "relative_velocity": float(event["speed"]),
+                "relative_velocity": event["speed"],
                 "primary": k in primaries,
             }
             for k, event in enumerate(trajectory.events)

@@ -112,13 +112,13 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
 
     if as_json:
         cells = {} if isinstance(result, ToleranceMap) else {"cells": job.design.cells}
-        head = {"file": str(job.path), "seconds": round(job.seconds, 3)} | cells
+        head = {"file": job.path, "seconds": round(job.seconds, 3)} | cells
         tables.print_record(head | tables.outcomes(result))
     else:
         tables.print_outcomes(result)
     draws = result.draws if isinstance(result, ToleranceMap) else 0
     first = result.of_lash()  # all lashes of a cell fail together
-    failed = first.failed if isinstance(first, ToleranceMap) else int((first.status != 0).sum())
+    failed = first.failed if isinstance(first, ToleranceMap) else (first.status != 0).sum()
     if job.held is None:
         each = f" x {draws:,} draws" if draws else ""
         click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s", err=True)

@@ -206,7 +206,7 @@ def _legend(layers: Layers) -> str:
         colour = square.format(note.colour) if note.colour else ""
         entries.append(f'<span style="white-space: nowrap">{colour}{escape(note.text)}</span>')
     if layers.values.size and (layers.quantity.type != YES_NO or layers.shaded):
-        at = np.unravel_index(int(np.nanargmax(layers.values)), layers.values.shape)
+        at = np.unravel_index(np.nanargmax(layers.values), layers.values.shape)
         place = (value_text(axis, axis.values[k], symbol=True) for axis, k in zip(layers.view.axes, at, strict=True))
         entries.append(escape(f"largest: {layers.values[at]:.6g} at {', '.join(place)}"))
     return " &nbsp; ".join(entries)

@@ -164,7 +164,7 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
 
 def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
     """Codes of a cell's intervals that are wide enough to be seen, and the thresholds between them."""
-    narrowest = _NARROWEST * float(np.ptp(thresholds.along.values))
+    narrowest = _NARROWEST * np.ptp(thresholds.along.values)
     codes: list[int] = []
     begins = []
     for begin, end, code in thresholds.intervals(cell):

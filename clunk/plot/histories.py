@@ -74,7 +74,7 @@ def _look_closely(ax: Axes, runs: Runs) -> None:
     first = min((run for run in runs if run.impacts), key=lambda run: run.impacts[0].begin, default=None)
     if first is None:
         raise PlotError("There is no impact to look at closely: no primary impact happens.")
-    impact, side = first.impacts[0].begin, int(first.touches.side[np.argmax(first.touches.primary)])
+    impact, side = first.impacts[0].begin, first.touches.side[np.argmax(first.touches.primary)]
     begin = np.floor((impact - _BEFORE) / _TICK) * _TICK  # the axis begins at a tick
     end = begin + _CLOSE
     near = [side * 1e3 * run.backlash_coordinate[(run.time >= impact) & (run.time <= end)] for run in runs]
@@ -88,8 +88,8 @@ def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     figure = style.new_figure((_WIDTH, max(_AROUND + sum(heights), _LOWEST)))
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
     axes[-1].set_xlabel("Time [s]")
-    begin = min(float(run.time[0]) for run in runs)
-    end = max(float(run.time[-1]) for run in runs)
+    begin = min(run.time[0] for run in runs)
+    end = max(run.time[-1] for run in runs)
     axes[0].set_xlim(begin, end if end > begin else begin + 1.0)
     axes[0].xaxis.set_major_locator(ticker.MaxNLocator(11, steps=[1, 2, 5, 10]))
     for ax in axes:
@@ -185,7 +185,7 @@ def draw_backlash(ax: Axes, runs: Runs, looks: Looks) -> None:
             marker |= _touch_look(look["color"], primary=primary, size=size)
             ax.plot(run.time[row], coordinate[row], **marker)
         size *= 0.8  # so that of impacts in one place all can be seen
-        reach = max(reach, 1.2 * widest, 1.05 * float(np.abs(coordinate).max()))
+        reach = max(reach, 1.2 * widest, 1.05 * np.abs(coordinate).max())
     ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
     ax.set_ylim(-reach, reach)
     names = {0.0: "gap"} | flanks

@@ -308,7 +308,7 @@ class Layers:
         # A hole is filled by what is in it, which is painted after what is around it.
         image = Image.fromarray(cells.astype(np.int32))
         draw = ImageDraw.Draw(image)
-        for code, (ring, *_) in sorted(self.outlines, key=lambda each: -float(np.ptp(each[1][0], axis=0).prod())):
+        for code, (ring, *_) in sorted(self.outlines, key=lambda each: -np.ptp(each[1][0], axis=0).prod()):
             pixels = [
                 np.interp(ring[:, k], at, np.arange(len(at)), left=-1, right=len(at)) for k, at in enumerate((x, y))
             ]

@@ -219,7 +219,7 @@ def strip(layers: Layers) -> Figure:
 def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
     """Colours of a quantity's values; the margin's diverge from zero, a probability's begin at white."""
     values = np.concatenate([layers.values.ravel() for layers in panels])
-    low, high = min(float(np.nanmin(values)), 0.0), float(np.nanmax(values))
+    low, high = min(np.nanmin(values), 0.0), np.nanmax(values)
     if panels[0].quantity.type == YES_NO:
         return ScalarMappable(colors.Normalize(0.0, 1.0), _PROBABLE)
     if panels[0].quantity.name == "margin":
@@ -231,7 +231,7 @@ def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
     """(nx, ny, 3) colours of the cells, 0 to 255: of their values where these have shades, else of their regions."""
     if shades is None:
         return layers.region_colours if layers.paint is None else layers.paint
-    cells = np.asarray(shades.to_rgba(layers.values), np.float64)[..., :3] * 255.0
+    cells = shades.to_rgba(layers.values)[..., :3] * 255.0
     cells[np.isnan(layers.values)] = list(bytes.fromhex(UNDEFINED[1:]))
     cells[layers.failed] = list(bytes.fromhex(FAILED_FILL[1:]))
     return cells

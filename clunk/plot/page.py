@@ -77,7 +77,7 @@ def _part(part: AnyMap, lash: str) -> Iterator[str]:
         yield _svg(draw(part, name, thresholds, facets=facets), name)
     heads, *rows = columns_of(part.label_table())
     yield f"{html_table([*part.summary(), *part.facts])}<h3>Labels</h3>{html_table(rows, heads)}"
-    counts = ((status, int((part.status == status).sum())) for status in Status if status != Status.OK)
+    counts = ((status, (part.status == status).sum()) for status in Status if status != Status.OK)
     failures = [(f"{count:,}", status.sentence) for status, count in counts if count]
     if failures:
         yield html_table(failures, ("failed cells", "why"))

@@ -128,7 +128,7 @@ def _models(e: Evidence) -> Iterator[Claim]:
         "Eq. 2.8",
         "velocity before = -e times after",
         f"Eq. 2.9 gives after = -e times before: ours {ratio.mean():.3f} at {ratio.size} rebounds (e = 0.5)",
-        bool(np.allclose(ratio, -0.5, rtol=1e-12)),
+        np.allclose(ratio, -0.5, rtol=1e-12),
     )
 
 
@@ -145,7 +145,7 @@ def _time_histories(e: Evidence) -> Iterator[Claim]:
         "Figure 3.1",
         "T steps from -6 to -1 N m at σr = 5; rotation between -0.7 and 0.3 rad",
         f"T(0⁻) = {before:g} N m; θ1 starts at {angle:.3f} rad",
-        bool(before == -6.0 and -0.7 < angle < -0.6),
+        before == -6.0 and -0.7 < angle < -0.6,
     )
     for ratio, (words, label) in zip(RATIOS, _FIGURE_3_2, strict=True):
         by_ifm, by_rcm = (e.runs[contact][ratio].label for contact in CONTACTS)
@@ -189,7 +189,7 @@ def _linear_view(e: Evidence) -> Iterator[Claim]:
         holds and bool(np.all(np.abs(without / expected - 1.0) > 0.1)),
     )
     yield _agrees("Table 3.1", f"thresholds σr = {_numbers(expected, 2)}", f"{_numbers(one_mode, 2)}", holds)
-    apart = float(np.max(np.abs(exact / one_mode - 1.0)))
+    apart = np.max(np.abs(exact / one_mode - 1.0))
     yield _agrees(
         "§3.2",
         "Table 3.1 agrees with the transitions on Figure 3.4's horizontal axis",
@@ -230,7 +230,7 @@ def _regimes(e: Evidence) -> Iterator[Claim]:
         f"never fewer in {rising:.1%} of the steps up in σr, never more in {falling:.1%} of the steps up in φθ",
         rising > 0.99 and falling > 0.99,
     )
-    same, nine = float(np.mean(ours.label_map == restitution.label_map)), set(restitution.labels) == set(NINE)
+    same, nine = np.mean(ours.label_map == restitution.label_map), set(restitution.labels) == set(NINE)
     yield _agrees(
         "§3.1",
         "both models predict the primary impacts equally",
@@ -284,14 +284,14 @@ def _severity(e: Evidence) -> Iterator[Claim]:
         f"for every σr above 3.2: {listed}" if inside else "not for every σr",
         inside,
     )
-    nominal = int(np.argmin(np.abs(ratios - NOMINAL_RATIO)))
-    marks = [int(np.argmin(np.abs(gaps - 1.0))), int(ours.severity[nominal].argmax()), -1]
+    nominal = np.argmin(np.abs(ratios - NOMINAL_RATIO))
+    marks = [np.argmin(np.abs(gaps - 1.0)), ours.severity[nominal].argmax(), -1]
     profile = ", ".join(f"Q = {ours.severity[nominal, k]:.0f} at {gaps[k]:g}°" for k in marks)
     yield _agrees(
         "§3.3.2",
         "severity rises with small backlash (Krenz) and falls with large (Crowther and Singh)",
         f"at σr = 5: {profile}",
-        bool(np.isfinite(ridge[nominal])),
+        np.isfinite(ridge[nominal]),
     )
 
 
@@ -367,15 +367,15 @@ def _largest_fall(results: Results) -> tuple[float, str]:
     """The largest relative fall of Q in one step up in the load ratio, and in which label."""
     before, after = results.severity[:-1], results.severity[1:]
     fall = np.where(before > 0.0, 1.0 - after / np.where(before > 0.0, before, np.inf), 0.0)
-    at = np.unravel_index(int(fall.argmax()), fall.shape)
-    return float(fall[at]), f"in {results.labels[results.sequence[at]]} near σr = {results.axes[0].values[at[0]]:.2g}"
+    at = np.unravel_index(fall.argmax(), fall.shape)
+    return fall[at], f"in {results.labels[results.sequence[at]]} near σr = {results.axes[0].values[at[0]]:.2g}"
 
 
 def _least_backlash(results: Results, ratio: float, label: str) -> float:
     """The backlash from which on a load ratio has this label; NaN where its largest one has not."""
-    row = results.label_map[int(np.argmin(np.abs(results.axes[0].values - ratio)))]
+    row = results.label_map[np.argmin(np.abs(results.axes[0].values - ratio))]
     unlike = np.flatnonzero(row != label)
-    first = int(unlike[-1]) + 1 if unlike.size else 0
+    first = unlike[-1] + 1 if unlike.size else 0
     return float(results.axes[1].values[first]) if first < row.size else float("nan")
 
 

@@ -146,4 +146,4 @@ def _closed_modes(study: Study) -> Modes:
 def acceleration_range(run: Trajectory) -> tuple[float, float]:
     """Least and largest acceleration after the first primary impact  [rad/s2]."""
     window = run.extremes[run.primaries[0] :, run.lash]
-    return float(np.min(window[:, 1])), float(np.max(window[:, 0]))
+    return np.min(window[:, 1]), np.max(window[:, 0])

@@ -303,14 +303,14 @@ class Results(Map):
     def caveats(self) -> list[str]:
         """Phrases on what the labels do not tell: runs that ended before it was proved that nothing follows."""
         run = self.of_lash()  # all lashes of a run end together
-        count = int(np.count_nonzero((run.status == Status.OK) & (run.quality & QUALITY_COMPLETE == 0)))
+        count = np.count_nonzero((run.status == Status.OK) & (run.quality & QUALITY_COMPLETE == 0))
         cells = counted(run.sequence.size, "run")
         return [f"{count:,} of {cells} ended at solver.end_time with more to follow"] if count else []
 
     @property
     def entries(self) -> dict[str, Array]:
         """Numbers of the primary impacts, as many as the cell with the most has, and at least 1."""
-        most = max(1, int(self.primary_impacts.max()))
+        most = max(1, self.primary_impacts.max())
         return {"impact": np.arange(1, most + 1, dtype=np.int32)}
 
     def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
@@ -505,7 +505,7 @@ class ToleranceMap(Map):
             ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {self.draws:,} draws"),
             ("moved", f"{share(moved, cells)}: another most likely label than without tolerances"),
         ]
-        affected = counted(int((self.runs[..., FAILED_CODE] > 0).sum()), "cell")
+        affected = counted((self.runs[..., FAILED_CODE] > 0).sum(), "cell")
         failed = ("failed", f"{self.failed:,} of {cells * self.draws:,} runs, in {affected}")
         return [*rows, failed] if self.failed else rows
 

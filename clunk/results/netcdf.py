@@ -237,7 +237,7 @@ def read(path: FilePath) -> Dataset:
         raise StoreError(f"{path} is damaged, its bytes do not match their checksum: run the sweep again.")
     with h5py.File(io.BytesIO(raw), "r") as file:
         attributes = _attributes_of(file)
-        if (version := int(attributes["schema_version"])) != SCHEMA_VERSION:
+        if (version := attributes["schema_version"]) != SCHEMA_VERSION:
             raise StoreError(
                 f"{path} has schema version {version}, and this clunk reads {SCHEMA_VERSION}: run the sweep again."
             )

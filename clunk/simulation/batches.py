@@ -112,7 +112,7 @@ def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]
         return
     steps = np.broadcast_to(line.varied.get(("solver", "step"), study.solver.step), count)
     for k in range(count):
-        yield np.array([k]), _by_rk4(batch.at([k]), float(steps[k]))
+        yield np.array([k]), _by_rk4(batch.at([k]), steps[k])
 
 
 def _by_rk4(batch: Batch, step: float) -> Batch:

@@ -106,7 +106,7 @@ class Driveline:
             contact_stiffnesses=radii**2
             * numbers(in_contact, "stiffness", [each.stiffness or 0.0 for each in contacts]),
             contact_dampings=radii**2 * numbers(in_contact, "damping", [each.damping or 0.0 for each in contacts]),
-            load=np.eye(n)[int(study.load.on) - 1],
+            load=np.eye(n)[study.load.on - 1],
             staged=staged,
             shaft_friction=numbers(of_shafts, "friction", [shaft.friction for shaft in shafts]),
             varied=varied,
@@ -233,7 +233,7 @@ def explained(study: Study, status: Status) -> str:
     driveline = Driveline.from_study(study)
     for friction, shares in driveline.frictions:
         if rigid.rubs(friction, driveline.rigid_motion):
-            key = f"driveline.shafts[{int(np.flatnonzero(shares)[0]) + 1}]"
+            key = f"driveline.shafts[{np.flatnonzero(shares)[0] + 1}]"
             return (
                 f"no steady motion before the load step: {key} slips as the driveline rolls, where its friction would "
                 f"carry nothing; give it {key}.damping instead of {key}.friction"
@@ -402,7 +402,7 @@ def steady_stages(study: Study) -> dict[int, int]:
     system = build(study, driveline)
     rest = preload(system, run_load(study)[0])
     stages = stages_of([shaft for _, shaft in driveline.staged])[
-        rest.regime // int(system.regime_strides[len(driveline.lashes)])
+        rest.regime // system.regime_strides[len(driveline.lashes)]
     ]
     return {k + 1: stage + 1 for (k, _), stage in zip(driveline.staged, stages, strict=True)}
 
@@ -419,7 +419,7 @@ def steps_a_period(study: Study) -> float:
     are lost. The restitution model has no such oscillation.
     """
     system = build(study)
-    fastest = float(np.abs(np.linalg.eigvals(system.rates).imag).max())
+    fastest = np.abs(np.linalg.eigvals(system.rates).imag).max()
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
 
 
@@ -455,7 +455,7 @@ def _incidence(varied: Varied, places: Sequence[Place], joints: Sequence[Shaft |
     for k, joint in enumerate(joints):
         one, other = joint.between
         if one != "ground":
-            rows[..., k, int(one) - 1] += 1.0
+            rows[..., k, one - 1] += 1.0
         if other != "ground":
-            rows[..., k, int(other) - 1] -= ratios[..., k]
+            rows[..., k, other - 1] -= ratios[..., k]
     return rows

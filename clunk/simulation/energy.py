@@ -101,7 +101,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     """
     study, events, states = trajectory.study, trajectory.phases, trajectory.phase_states
     line, system = Driveline.from_study(study), build(study)
-    n, impulsive = line.inertia.size, bool(system.impulsive)
+    n, impulsive = line.inertia.size, system.impulsive
     before, load = run_load(study)
     half_gaps = before[[half_gap_of(lash) for lash in range(len(line.lashes))]]
     rows, contact_dampings = np.vstack([line.shafts, line.lashes]), line.contact_dampings * (not impulsive)
@@ -126,13 +126,13 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     held = held_inputs(len(line.lashes), len(line.frictions), system.weights.shape[1])
     torques = [twist - 1 for twist in held[len(line.lashes) :]]
     for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
-        times = float(event["time"]), float(end)
+        times = event["time"], end
         for stretch in stretches(system, before, load, event["regime"], start, *times):
             regime, length = stretch.regime, stretch.end - stretch.begin
             rates = regime.rates @ stretch.x + regime.forcing
             travel, taken = _integrals(regime.rates, squares, length)
             moved = travel @ rates
-            work += float(regime.inputs[TORQUE] * (line.load @ moved[:n]))
+            work += regime.inputs[TORQUE] * (line.load @ moved[:n])
             work += _work_of_wave(regime, stretch.x, line.load, length)
             dampers = np.append(line.shaft_damping, contact_dampings * regime.closed)
             damped += dampers * np.einsum("i,kij,j->k", rates, taken, rates)
@@ -150,7 +150,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
             together = system.contacts["closed"][events["regime"][impact[:1]]] @ bits + bits[struck].sum()
             passed = system.passed[(together - bits[struck])[:, None], struck[:, None], struck]
             speeds, after = events["speed"][impact], line.lashes[struck] @ states[impact[-1], n : 2 * n]
-            lost += float(speeds @ passed @ speeds - after @ passed @ after) / 2.0
+            lost += (speeds @ passed @ speeds - after @ passed @ after) / 2.0
     by_force = np.array([not impulsive and lash.contact.separation == "force" for lash in study.lashes])[events["lash"]]
     dropped, regained = (
         math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))
@@ -161,7 +161,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         stored_before=stored(states[0], events["regime"][0]),
         stored_after=stored(x, events["regime"][-1]),
         damped_in_shafts=tuple(damped[: len(line.shafts)].tolist()),
-        damped_in_contact=float(damped[len(line.shafts) :].sum()),
+        damped_in_contact=damped[len(line.shafts) :].sum(),
         rubbed_in_shafts=tuple(rubbed.tolist()),
         lost_at_impacts=lost,
         dropped=dropped,

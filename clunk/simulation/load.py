@@ -154,7 +154,7 @@ def cases_of(study: Study, values: Mapping[str, Numbers] = MappingProxyType({}),
     before = np.zeros((count, INPUTS + len(study.lashes) - 1))
     before[:, TORQUE] = torque
     for k, (place, lash) in enumerate(zip(study.lash_places, study.lashes, strict=True)):
-        gap = np.asarray(values.get(dotted((*place, "backlash_deg")), lash.backlash_deg), np.float64)
+        gap = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
         before[:, half_gap_of(k)] = np.deg2rad(gap) / 2
     return Cases(before, pieces, np.zeros(1, np.int64))
 

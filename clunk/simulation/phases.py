@@ -34,7 +34,7 @@ class Regime(NamedTuple):
 
 def regime_under(system: System, number: int, inputs: Floats) -> Regime:
     """One of the regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
-    flow, contacts, u = int(system.regimes[number]["flow"]), system.contacts[number], system.weights[number].copy()
+    flow, contacts, u = system.regimes[number]["flow"], system.contacts[number], system.weights[number].copy()
     u[: inputs.size] *= inputs  # the others are 1
     return Regime(flow, system.rates[flow], system.inputs[flow] @ u, u, contacts["side"], contacts["closed"])
 
@@ -144,7 +144,7 @@ def exponentials(matrices: Floats, sizes: Floats) -> Floats:
         total = total + power
     for k in range(squarings.max(initial=0)):
         total = np.where(squarings > k, total @ total, total)
-    return np.asarray(total, np.float64)
+    return total
 
 
 def balanced(matrix: Floats) -> tuple[Floats, Floats, float]:

@@ -20,7 +20,7 @@ def shuffle_mode(driveline: Driveline) -> int | None:
     joints, forward = np.zeros((turns.size, turns.size), bool), np.zeros(turns.size, bool)
     for ends in map(np.flatnonzero, rows):
         joints[ends[0], ends[-1]] = True
-        is_held |= bool(ends.size == 1 and turns[ends[0]] != 0.0)
+        is_held |= ends.size == 1 and turns[ends[0]] != 0.0
     for number, shape in enumerate(driveline.modes(closed=True).shapes):
         reflected = shape[joined] / turns[joined]
         largest = reflected[np.argmax(driveline.inertia[joined] * np.abs(shape[joined]) ** 2)]

@@ -54,7 +54,7 @@ class SmallGap(NamedTuple):
     @property
     def characteristic_time(self) -> float:
         """t_c after the load step, where σr exp(-ζ1 ω1 t) = 1  [s]."""
-        return float(np.log(self.ratio) / self.decay) if self.ratio > 0.0 else np.nan
+        return np.log(self.ratio) / self.decay if self.ratio > 0.0 else np.nan
 
     @classmethod
     def of(cls, study: Study) -> "SmallGap":
@@ -77,9 +77,9 @@ class SmallGap(NamedTuple):
                 "There is no response to draw: the lash carries no torque before the load step, or the driveline has "
                 "no damped oscillation in contact."
             )
-        frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
+        frequency, damping_ratio = modes.frequency[0], modes.damping_ratio[0]
         decay = 2.0 * np.pi * frequency * damping_ratio
-        start, end = (float(system.contact_torque[0, 0, TORQUE] * inputs[TORQUE]) for inputs in (before, after))
+        start, end = (system.contact_torque[0, 0, TORQUE] * inputs[TORQUE] for inputs in (before, after))
         crossing = np.log(abs((start - end) / end)) / decay if end != 0.0 and start != end else 0.0
         duration = max(1.35 * crossing, 3.0 / frequency)
         step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
@@ -90,7 +90,7 @@ class SmallGap(NamedTuple):
         across = torque_across(driveline, driveline_at(system, None), regime.flow, 0)[0]
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time
-        return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)
+        return cls(time, torque, start, end, decay, frequency, damping_ratio, study.load.step_time)
 
 
 def periods_in_envelope(ratio: float, damping_ratio: float) -> float:
@@ -98,7 +98,7 @@ def periods_in_envelope(ratio: float, damping_ratio: float) -> float:
 
     n_c = ln(σr) / (2π ζ1) (report Eq. 3.1, where 2π is missing); not a number where the envelope never crosses zero.
     """
-    return float(np.log(ratio) / (2.0 * np.pi * damping_ratio)) if ratio > 0.0 else np.nan
+    return np.log(ratio) / (2.0 * np.pi * damping_ratio) if ratio > 0.0 else np.nan
 
 
 def one_mode_thresholds(study: Study, count: int = 4) -> Floats:
@@ -153,10 +153,10 @@ def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
 
 def _extremes(rates: ComplexArray, amplitudes: ComplexArray) -> Floats:
     """Minima and maxima of f = Re sum of amplitude · exp(rate t) in turn, a minimum first, until it is too faint."""
-    fastest = float(np.max(np.abs(rates.imag), initial=0.0))
+    fastest = np.max(np.abs(rates.imag), initial=0.0)
     if fastest == 0.0:
         return np.empty(0)
-    step, slowest = 2.0 * np.pi / fastest / _SAMPLES, float(-rates.real.max())
+    step, slowest = 2.0 * np.pi / fastest / _SAMPLES, -rates.real.max()
     lasting = np.log(np.abs(amplitudes).sum() / _FAINTEST) / slowest if slowest > 0.0 else np.inf
     time = step * np.arange(int(min(lasting / step, _MOST_SAMPLES)) + 2)
     f = np.zeros(time.size)
@@ -185,7 +185,7 @@ def levels_of_excursions(extremes: Floats, count: int) -> Floats:
     for level in np.sort(minima[minima < 0.0]):
         below = minima <= level
         joined = below[:-1] & below[1:] & (between[: minima.size - 1] <= level)
-        excursions = int(below.sum()) - int(joined.sum())
+        excursions = below.sum() - joined.sum()
         while len(levels) < min(excursions, count):
             levels.append(-1.0 / level)
     return np.array(levels, dtype=np.float64)

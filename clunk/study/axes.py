@@ -74,7 +74,7 @@ class ResultAxis:
         if len(ascending) < 3 or ascending[0] <= 0.0:
             return False
         steps = np.diff(np.log(ascending))
-        return bool(np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0)
+        return np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0
 
 
 def run_axis(along: Iterable[ResultAxis]) -> ResultAxis:

@@ -126,7 +126,7 @@ def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] 
     findings += wrong
     if study is not None and not findings and not malformed:
         of_file = raw.get("load", {}) if ("load", "profile") not in assignments else {}
-        given = {*of_file, *(str(place[1]) for place in assignments if place[:1] == ("load",) and len(place) > 1)}
+        given = {*of_file, *(place[1] for place in assignments if place[:1] == ("load",) and len(place) > 1)}
         for doubt in doubts(study, given):
             warnings.warn(doubt, ClunkWarning, stacklevel=2)
         return study

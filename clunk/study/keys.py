@@ -179,7 +179,7 @@ def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | N
     for place, detail in errors:
         # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
         inner = [other for other, _ in errors if len(other) > len(place) and other[: len(place)] == place]
-        is_list_of_wrong = detail["type"] == "too_short" and bool(inner)
+        is_list_of_wrong = detail["type"] == "too_short" and inner
         if detail["type"] == "clunk":
             findings += [((*place, *below), message) for below, message in detail["ctx"]["findings"]]
         elif place in unknown:

@@ -186,7 +186,7 @@ class Lash(Table):
     @classmethod
     def _convert(cls, lash: Any) -> Any:
         number: Any = lash.get("radius") if isinstance(lash, dict) else None
-        radius = float(number) if is_number(number) and number > 0.0 else math.inf  # else it has an error of its own
+        radius = number if is_number(number) and number > 0.0 else math.inf  # else it has an error of its own
         return converted(lash, "gap_mm", "backlash_deg", lambda gap: _degrees(gap, radius), 360.0)
 
     def contradictions(self) -> Iterator[Finding]:
@@ -379,7 +379,7 @@ class Config(Table):
     def watched(self) -> tuple[int, ...]:
         """The inertia whose acceleration gives each lash's severity, by number from 1."""
         of_all = self.impacts.acceleration_of
-        firsts = (next(int(end) for end in lash.between if end != "ground") for lash in self.lashes)
+        firsts = (next(end for end in lash.between if end != "ground") for lash in self.lashes)
         return tuple(first if of_all is None else of_all for first in firsts)
 
     @property

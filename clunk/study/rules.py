@@ -202,7 +202,7 @@ def _varied(config: Config) -> Iterator[Finding]:
                 if text is None and table != ("sweep", "axes"):
                     text = _undrawable(parameter, entry, table, parameter in swept, config)
                 before = taken.setdefault(parameter, {})
-                is_again = draws in before or (bool(before) and table[0] != "fit" and "value" in (draws, *before))
+                is_again = draws in before or (before and table[0] != "fit" and "value" in (draws, *before))
                 if text is None and is_again:
                     text = f"{parameter} is {verb} {dotted(before.get(draws, next(iter(before.values()))))} already"
                 if text is not None:
@@ -305,7 +305,7 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
         keys = {axis.parameter: (k, axis) for k, axis in group}
         yield [
             {
-                key: Given(float(columns[key][at]), ("sweep", "axes", k, *axis.place_of(at)), key)
+                key: Given(columns[key][at], ("sweep", "axes", k, *axis.place_of(at)), key)
                 for key, (k, axis) in keys.items()
             }
             for at in _extremes(config, {key: columns[key] for key in keys})

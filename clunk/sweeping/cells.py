@@ -214,7 +214,7 @@ class Grid:
         for positions, rows, _, logs in self._runs(values, count, np.zeros(1, np.uint8), keeps_events=True):
             records[positions] = rows.reshape(-1, self.layout.lashes)
             ok = records["status"][positions, 0] == Status.OK
-            pieces.append((positions[ok], logs[ok, : int((~np.isnan(logs["time"][ok])).sum(axis=1).max(initial=0))]))
+            pieces.append((positions[ok], logs[ok, : (~np.isnan(logs["time"][ok])).sum(axis=1).max(initial=0)]))
         events = np.zeros((count, max((logs.shape[1] for _, logs in pieces), default=0)), EVENT)
         events["time"] = np.nan
         for positions, logs in pieces:
@@ -228,7 +228,7 @@ class Grid:
 
         keeps_events : whether the events are wanted, until the next runs, and not what the config measures
         """
-        lashes, measures = self.layout.lashes, bool(self.study.measured) and not keeps_events
+        lashes, measures = self.layout.lashes, self.study.measured and not keeps_events
         for drivelines, cells, of_cells in self._by_batches(values, count):
             batch, positions, cases = drivelines, cells, of_cells
             most = self.study.solver.max_events

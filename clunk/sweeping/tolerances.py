@@ -141,5 +141,5 @@ def _summary(codes: LabelCodes, severity: Floats, status: Array) -> tuple[tuple[
     runs |= dict(zip(found.tolist(), counts.tolist(), strict=True))
     known = severity[:-1][np.isfinite(severity[:-1])]
     mean, quantiles = (known.mean(), np.quantile(known, QUANTILES)) if known.size else (np.nan, np.nan)
-    first_failed = int(status[np.argmax(status[:-1] != Status.OK)])
-    return (len(runs), int(status[-1]), first_failed, mean, quantiles), runs
+    first_failed = status[np.argmax(status[:-1] != Status.OK)]
+    return (len(runs), status[-1], first_failed, mean, quantiles), runs

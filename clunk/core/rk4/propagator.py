@@ -112,7 +112,7 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     """
     states, size = flows.coordinates.shape[1], system.rates.shape[1]
     eigenvalues = np.linalg.eigvals(flows.generator).astype(np.complex128)
-    stable = bool(np.all(rk4_growth(eigenvalues, step / flows.span[:, :1]) <= 1 + 1e-9))
+    stable = np.all(rk4_growth(eigenvalues, step / flows.span[:, :1]) <= 1 + 1e-9)
     rates = flows.propagator[:, -1] / flows.span[:, 0, None, None, None]
     own, cross = np.moveaxis(rates.reshape(*rates.shape[:-1], 2, PAIRS), 2, 0)  # SELF and CROSS, (K, B, 2, 4)
     turning = -cross.prod(axis=-2, keepdims=True)  # ω², or 0
