@@ -61,7 +61,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
     for text, cells, colour in marks:
         if cells.any():
             paint[cells] = list(bytes.fromhex(colour[1:]))
-            notes.append(Note(f"{text}: {counted(int(np.count_nonzero(cells)), 'cell')}", colour))
+            notes.append(Note(f"{text}: {counted(cells.sum(), 'cell')}", colour))
     differing = f"{comparison.differing:,} of {comparison.cells:,} cells differ"
     keys = list(comparison.config_differences)
     more = f" and {len(keys) - _LISTED} more keys" if len(keys) > _LISTED else ""

@@ -255,12 +255,12 @@ class Layers:
         regions = zip(self.names, self.colours, self.shares.tolist(), strict=False)
         shown = set(names) & set(self.seen)
         notes = [Note(text(name, f"{100 * share:.2g} %"), colour) for name, colour, share in regions if name in shown]
-        if failed := int(np.count_nonzero(self.failed)):
+        if failed := self.failed.sum():
             notes.append(Note(text(FAILED, counted(failed, "cell")), FAILED_FILL))
         if self.shaded and (np.isnan(self.values) & ~self.failed).any():
             why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
             notes.append(Note(why, UNDEFINED))
-        if undecided := int(np.count_nonzero(self.undecided)):
+        if undecided := self.undecided.sum():
             notes.append(Note(text("blurred, undecided", counted(undecided, "cell")), ""))
         if len(self.unresolved):
             notes.append(Note(text("blurred, lines unresolved", counted(len(self.unresolved), "place")), ""))

@@ -284,8 +284,8 @@ def _severity(e: Evidence) -> Iterator[Claim]:
         f"for every σr above 3.2: {listed}" if inside else "not for every σr",
         inside,
     )
-    nominal = np.argmin(np.abs(ratios - NOMINAL_RATIO))
-    marks = [np.argmin(np.abs(gaps - 1.0)), ours.severity[nominal].argmax(), -1]
+    nominal = ours.axes[0].nearest(NOMINAL_RATIO)
+    marks = [ours.axes[1].nearest(1.0), ours.severity[nominal].argmax(), -1]
     profile = ", ".join(f"Q = {ours.severity[nominal, k]:.0f} at {gaps[k]:g}°" for k in marks)
     yield _agrees(
         "§3.3.2",
@@ -373,7 +373,7 @@ def _largest_fall(results: Results) -> tuple[float, str]:
 
 def _least_backlash(results: Results, ratio: float, label: str) -> float:
     """The backlash from which on a load ratio has this label; NaN where its largest one has not."""
-    row = results.label_map[np.argmin(np.abs(results.axes[0].values - ratio))]
+    row = results.label_map[results.axes[0].nearest(ratio)]
     unlike = np.flatnonzero(row != label)
     first = unlike[-1] + 1 if unlike.size else 0
     return float(results.axes[1].values[first]) if first < row.size else float("nan")

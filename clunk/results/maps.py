@@ -500,7 +500,7 @@ class ToleranceMap(Map):
     def facts(self) -> Rows:
         """See `Map.facts`: how many cells are uncertain, have moved, or have runs that failed."""
         cells = self.sequence.size
-        moved = int(np.count_nonzero(self.sequence != self.nominal_sequence))
+        moved = (self.sequence != self.nominal_sequence).sum()
         rows = [
             ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {self.draws:,} draws"),
             ("moved", f"{share(moved, cells)}: another most likely label than without tolerances"),

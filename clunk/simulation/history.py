@@ -288,7 +288,7 @@ def _after_event(
     first, times = k, (float(starts[k]), min(stop, end))
     while not is_event[first] and starts[first - 1] == starts[k]:
         first -= 1
-    event = int(np.count_nonzero(is_event[:first])) if is_event[first] else -1
+    event = is_event[:first].sum() if is_event[first] else -1
     for _, begin, until, regime, x in stretches(system, before, load, number, recorded[k], *times):
         within = _grid(begin, until, step)
         sampled, parts = [np.array([begin]), within * step], [x[None]]
