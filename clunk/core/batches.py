@@ -25,8 +25,8 @@ def alike(patterns: Any, dimensions: int = 1) -> npt.NDArray[Any]:
     Raises UnlikeError where they differ.
     """
     if patterns.ndim == dimensions:
-        return np.asarray(patterns)
+        return patterns
     if (patterns != patterns[:1]).any():
         _, group_of = np.unique(patterns.reshape(len(patterns), -1), axis=0, return_inverse=True)
         raise UnlikeError([np.flatnonzero(group_of.ravel() == group) for group in range(group_of.max() + 1)])
-    return np.asarray(patterns[0])
+    return patterns[0]

@@ -211,7 +211,7 @@ def _are_one_impact(events: Records, states: FloatArray, e: int) -> bool:
     same = events[e].kind == TOUCH and events[e + 1].kind == TOUCH
     for j in range(states.shape[1]):
         same = same and states[e, j] == states[e + 1, j]
-    return bool(same)
+    return same
 
 
 @part
@@ -253,7 +253,7 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
 @part
 def _bears(system: System, regime: int, lash: int, room: Room) -> bool:
     """Whether a lash is closed and has had a primary impact, so that its contact adds to the values of that."""
-    return bool(system.contacts[regime, lash].closed != 0 and room.row[lash] >= room.first[lash])
+    return system.contacts[regime, lash].closed != 0 and room.row[lash] >= room.first[lash]
 
 
 @part

@@ -167,13 +167,13 @@ def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
 @inlined_part
 def state_of_friction(system: System, regime: int, friction: int) -> int:
     """The state of a friction in a regime: one of `tables.STICKS` and those behind it."""
-    return int(system.friction_states[regime, friction])
+    return system.friction_states[regime, friction]
 
 
 @inlined_part
 def stride_of_friction(system: System, friction: int) -> int:
     """By how much a regime's number changes with the state of a friction."""
-    return int(system.regime_strides[system.element_count - system.friction_count + friction])
+    return system.regime_strides[system.element_count - system.friction_count + friction]
 
 
 @inlined_part
@@ -185,7 +185,7 @@ def input_of_friction(system: System, friction: int) -> int:
 @inlined_part
 def rate_of_friction(system: System, friction: int) -> int:
     """The functional that is the rate of twist of a friction; the one behind it is the torque that holds it."""
-    return int(system.functionals.shape[1] - OF_FRICTION * (system.friction_count - friction))
+    return system.functionals.shape[1] - OF_FRICTION * (system.friction_count - friction)
 
 
 @inlined_part
@@ -194,7 +194,7 @@ def lash_of(system: System, regime: int, guard: int) -> int:
 
     Where it is read without this function, the exact method takes a quarter longer.
     """
-    return int(system.guards[regime, guard].lash)
+    return system.guards[regime, guard].lash
 
 
 @inlined_part
@@ -209,7 +209,7 @@ def overlap_of(system: System, lash: int, side: int, x: FloatArray, inputs: Floa
     overlap = -inputs[gap_input(lash)]
     for k in range(system.inertias):
         overlap += side * system.lashes[lash, system.inertias + k] * x[k]
-    return float(overlap)
+    return overlap
 
 
 @part
@@ -226,7 +226,7 @@ def guard_of(system: System, regime: int, functional: int, sign: float) -> int:
 def opened(system: System, regime: int, lash: int) -> int:
     """The regime that differs in that a lash is open."""
     stride = system.regime_strides[lash]
-    return int(regime - regime % system.regime_strides[lash + 1] // stride * stride)
+    return regime - regime % system.regime_strides[lash + 1] // stride * stride
 
 
 class RigidMotion(NamedTuple):

@@ -282,7 +282,7 @@ def _locking_speed(at: Moment, regime: int, lash: int, fastest: float) -> float:
     # a rebound lower than the rounding of the gap cannot be followed
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
     _, place = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
-    return float(max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place)))
+    return max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
 
 
 @part

@@ -139,7 +139,7 @@ def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
 @inlined_part
 def _sticking_in(system: System, regime: int) -> int:
     """The frictions that stick in a regime, as bits: whether they do comes last in the number of its flow."""
-    return int(system.regimes[regime].flow // (system.rates.shape[0] >> system.friction_count))
+    return system.regimes[regime].flow // (system.rates.shape[0] >> system.friction_count)
 
 
 @part
@@ -213,7 +213,7 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     slope, slope_size = derivative(at, regime, functional, 1)
     size += slope_size * at.time
     if -way * torque > _WITHIN * size:
-        return float(-way * torque / size)
+        return -way * torque / size
     return _WITHIN if way * torque < _WITHIN * size and way * slope < -_WITHIN * slope_size else 0.0
 
 
@@ -241,7 +241,7 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
         beyond = -way * speeds_up
         is_at_limit = beyond > -_WITHIN * size
     if beyond > _WITHIN * size:
-        return float(beyond / size)
+        return beyond / size
     if not is_at_limit:
         return 0.0
     onwards, _ = derivative(at, regime, functional, order)

@@ -79,7 +79,7 @@ def piece_at(load: FloatArray, piece: int, time: float) -> int:
 def end_of_piece(system: System, load: FloatArray, piece: int) -> float:
     """When a piece of a load ends, or the run if that is sooner  [s]."""
     end = system.end_time[0]
-    return float(min(end, load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else end)
+    return min(end, load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else end
 
 
 @inlined_part

@@ -17,4 +17,4 @@ def root_of_squares(values: FloatArray, count: int) -> float:
     total = 0.0
     for i in range(count):
         total += values[i] ** 2
-    return float(np.sqrt(total))
+    return np.sqrt(total)

@@ -10,7 +10,7 @@ def weigh(weights: FloatArray, numbers: FloatArray) -> float:
     total = weights[0] * numbers[0]
     for k in range(1, weights.size):
         total += weights[k] * numbers[k]
-    return float(total)
+    return total
 
 
 @part

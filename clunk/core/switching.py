@@ -81,7 +81,7 @@ def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) 
     total = by[0] * inputs[0]
     for k in range(1, system.input_count):
         total += by[k] * (system.weights[regime, k] * (inputs[k] if k < inputs.size else 1.0))
-    return float(total)
+    return total
 
 
 @part

@@ -176,7 +176,7 @@ class _Modes(NamedTuple):
 
 def _ends(slots: IntArray) -> int:
     """The number of coordinates with these slots, whole pairs."""
-    return int(slots.max(initial=-1) | 1) + 1
+    return (slots.max(initial=-1) | 1) + 1
 
 
 def _fill(

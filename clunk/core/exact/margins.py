@@ -111,7 +111,7 @@ def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
     if guard.event_kind == TOUCH:
         return is_primary(guard.side, course.last_side, course.from_sticking != 0)
     if guard.event_kind == OPENING:  # by force: it counts after a contact that held
-        return bool(course.from_sticking != 0)
+        return course.from_sticking != 0
     return guard.event_kind == SEPARATION and is_sticking(now - course.contact_began, system.sticking_time[lash])
 
 

@@ -123,7 +123,7 @@ def _is_empty(known: _Known, h: Vector) -> int:
     monotone = h * (against + h * (0.5 * third)) < vectors.magnitude(slope)
     within = value - known.top + h * (vectors.larger(slope, zero) + off_tangent) <= 0.0
     within &= known.bottom - value + h * (vectors.larger(-slope, zero) + off_tangent) <= 0.0
-    return int(within | monotone | (h <= known.idle))
+    return within | monotone | (h <= known.idle)
 
 
 @part

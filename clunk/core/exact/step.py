@@ -172,7 +172,7 @@ def _evaluate(space: Workspace, regime: int, row: int) -> None:
 @inlined_part
 def _functionals_seen(space: Workspace, regime: int) -> int:
     """How many functionals a step sees; the last ones are the accelerations."""
-    return int(space.system.regimes[regime].watched + space.system.lash_count)
+    return space.system.regimes[regime].watched + space.system.lash_count
 
 
 @inlined_part
@@ -180,8 +180,8 @@ def _functional(space: Workspace, regime: int, n: int) -> int:
     """The functional that is seen as number n."""
     system, watched = space.system, space.system.regimes[regime].watched
     if n < watched:
-        return int(system.guards[regime, n].functional)
-    return int((n - watched) * system.functionals_per_lash + ACCELERATION)
+        return system.guards[regime, n].functional
+    return (n - watched) * system.functionals_per_lash + ACCELERATION
 
 
 @inlined_part
@@ -282,7 +282,7 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
 @inlined_part
 def _passes(space: Workspace, count: int, h: Vector, at_most: Vector) -> int:
     """Where so many guards are positive by guess up to a time h."""
-    passes = int(h <= at_most)
+    passes = h <= at_most
     for n in range(count):
         passes &= curves.guess(load_curve(space.seen, n * OF_SEEN + _START), h) > 0.0
     return passes

@@ -191,7 +191,7 @@ def system_of(space: Workspace, slot: int) -> System:
 @inlined_part
 def size_of(space: Workspace) -> int:
     """The number of coordinates."""
-    return int(space.flows.basis.shape[3])
+    return space.flows.basis.shape[3]
 
 
 @inlined_part

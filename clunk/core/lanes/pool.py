@@ -69,7 +69,7 @@ def take(pool: Pool, queue: int, array: FloatArray) -> int:
         pool.places[k], pool.items[k] = item * length, item
     for row in range(0, length, ROW):
         vectors.gather(array, pool.places, row, pool.work, row)
-    return int(count)
+    return count
 
 
 @part
