@@ -324,19 +324,19 @@ def losses(matches: Records, wanted: Codes, fit: Fit, rows: Bools | slice = slic
     wrong, right = _PRIOR_WEIGHT * fit.wrong_labels, _PRIOR_WEIGHT * (1.0 - fit.wrong_labels)
     of_labels = betaln(wrong, count + right) - betaln(misses + wrong, count - misses + right)
     of_distances = np.where(missed, matches["distance"], 0.0).sum(axis=1) / fit.scatter
-    return np.asarray(of_labels + of_distances + matches["misfit"].sum(axis=1))
+    return of_labels + of_distances + matches["misfit"].sum(axis=1)
 
 
 def weights_of(losses: Floats, log_density: Floats) -> Floats:
     """Weights of draws, which add up to 1."""
     exponents = -losses - log_density
     weights = np.exp(exponents - exponents.max())
-    return np.asarray(weights / weights.sum())
+    return weights / weights.sum()
 
 
 def effective_size(weights: Floats) -> float:
     """Number of equally weighted draws that would be as good."""
-    return float(1.0 / (weights**2).sum())
+    return 1.0 / (weights**2).sum()
 
 
 # --- Reasons ----------------------------------------------------------------------------------------------------------

@@ -208,7 +208,7 @@ def outlier_misfit(deviation: Floats | float) -> Floats:
 
     z = np.stack([deviation, np.zeros(np.shape(deviation))])
     density = (1.0 - _OUTLIERS) * norm.pdf(z) + _OUTLIERS * cauchy.pdf(z, scale=_OUTLIER_SCALE)
-    return np.asarray(np.log(density[1] / density[0]))
+    return np.log(density[1] / density[0])
 
 
 _SEARCHED = 16  # candidates of a population of the search, for each parameter

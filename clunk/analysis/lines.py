@@ -54,7 +54,7 @@ def most_runs(cells: int, cost: int) -> int:
 
 def _cost_of(runs: Points) -> int:
     """Number of runs without touches that take as long as some runs."""
-    return runs.size + int(np.maximum(runs["touches"], 0).sum()) // _TOUCHES
+    return runs.size + np.maximum(runs["touches"], 0).sum() // _TOUCHES
 
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:
@@ -265,7 +265,7 @@ class Lines:
         nodes, positions = np.moveaxis(self.triangles.nodes, axis, 1), self.triangles.positions
 
         def place(lines: Codes, values: Floats) -> Floats:
-            places: Floats = positions[nodes[lines, 0]]
+            places = positions[nodes[lines, 0]]
             places[:, axis] = values
             return places
 
@@ -284,7 +284,7 @@ class Lines:
         mixed = np.concatenate(self.triangles.mixed(only_new=only_new))
         keys = np.unique(_edges(mixed))
         first, second = ends_of(keys)
-        return np.asarray(keys[self.triangles.outcome[first] != self.triangles.outcome[second]])
+        return keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
 
     def _locate(self) -> None:
         """Locate crossings on new edges, nearly, and cut those with several."""
@@ -385,8 +385,7 @@ class Lines:
         """Whether all crossings on the edges of triangles are located, one on each."""
         edges = _edges(corners)
         labels = self.triangles.outcome[corners]
-        is_located: Bools = ((labels == np.roll(labels, -1, axis=1)) | np.isin(edges, self.keys)).all(axis=1)
-        return is_located
+        return ((labels == np.roll(labels, -1, axis=1)) | np.isin(edges, self.keys)).all(axis=1)
 
     def _is_off_chord(self, corners: Nodes) -> Bools:
         """Whether the line in triangles of two labels may be further from its chord than `CHORD`.
@@ -398,7 +397,7 @@ class Lines:
         ends = self.position(keys_of(corners[:, :1], corners[:, 1:]).ravel()).reshape(-1, 2, 2)
         chord, sides = ends[:, 1] - ends[:, 0], np.roll(positions, -1, axis=1) - positions
         height = np.abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
-        is_off: Bools = (_length(chord) > CHORD) & (height > CHORD)
+        is_off = (_length(chord) > CHORD) & (height > CHORD)
         asked = np.flatnonzero(is_off)
         if not asked.size or not self._may_run():
             return is_off

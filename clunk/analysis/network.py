@@ -137,15 +137,15 @@ def _contains(ring: Ring, point: Floats) -> bool:
     crosses = (begin[:, 1] > y) != (end[:, 1] > y)
     begin, end = begin[crosses], end[crosses]
     at = begin[:, 0] + (y - begin[:, 1]) / (end[:, 1] - begin[:, 1]) * (end[:, 0] - begin[:, 0])
-    return bool((at > x).sum() % 2)
+    return (at > x).sum() % 2 == 1
 
 
 def _along_frame(point: Floats) -> float:
     """Way along the frame from its first corner, anticlockwise, to a point on it."""
     x, y = point.tolist()
     if y == 0.0:
-        return float(x)
-    return float(1.0 + y if x == 1.0 else 3.0 - x if y == 1.0 else 4.0 - y)
+        return x
+    return 1.0 + y if x == 1.0 else 3.0 - x if y == 1.0 else 4.0 - y
 
 
 def _corners_between(begin: float, end: float) -> Floats:

@@ -161,7 +161,7 @@ class Problem:
     def most(self) -> int:
         """The most runs that a search takes."""
         candidates = _STARTS * self.low.size * _POPULATION * (_GENERATIONS + 1)
-        return int(_EXPLORED + candidates * math.prod(self.shape))
+        return _EXPLORED + candidates * math.prod(self.shape)
 
     def __call__(self, candidates: Floats) -> Outcomes:
         """Run candidates, (n, parameters)."""
@@ -174,7 +174,7 @@ class Problem:
 
         def worst(values: Floats) -> Floats:
             """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
-            return np.asarray(np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1))
+            return np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1)
 
         lacks = np.zeros((shape[0], shape[2]))
         quantities = {}
@@ -325,7 +325,7 @@ def _explored(problem: Problem) -> Floats:
     free = problem.low.size
     count = max(_EXPLORED // math.prod(problem.shape), 2 * _POPULATION * free)
     design = qmc.Sobol(free, seed=np.random.default_rng(problem.optimize.seed))
-    return np.asarray(qmc.scale(design.random_base2(math.ceil(math.log2(count))), problem.low, problem.high))
+    return qmc.scale(design.random_base2(math.ceil(math.log2(count))), problem.low, problem.high)
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:
@@ -346,7 +346,7 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
         polish=False,
         seed=rng,
     )
-    return np.asarray(result.x)
+    return result.x
 
 
 def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum:

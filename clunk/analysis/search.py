@@ -117,7 +117,7 @@ def _may_hide(points: Points) -> Bools:
     slope = _STEEPER * np.maximum(slope[:-1], slope[1:])
     hidden[:-1] |= is_dip & (least[1:-1] < slope * width[:-1])
     hidden[1:] |= is_dip & (least[1:-1] < slope * width[1:])
-    return np.asarray(alike & hidden)
+    return alike & hidden
 
 
 def _changes(points: Points, parts: Codes) -> Codes:

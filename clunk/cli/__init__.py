@@ -41,8 +41,7 @@ class _Commands(click.Group):
         """Import a command's module and return the command."""
         if cmd_name not in _COMMANDS:
             return None
-        command: click.Command = getattr(import_module(f"clunk.cli.{_MODULES.get(cmd_name, cmd_name)}"), cmd_name)
-        return command
+        return getattr(import_module(f"clunk.cli.{_MODULES.get(cmd_name, cmd_name)}"), cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -227,7 +227,7 @@ def _pixel_centres(axis: ResultAxis) -> Floats:
     """Centres of an image's pixels along an ascending axis, in its unit."""
     to, back = ruler(axis)
     edges = np.linspace(to(axis.values[0]), to(axis.values[-1]), _PIXELS + 1)
-    return np.asarray(back(0.5 * (edges[1:] + edges[:-1])), np.float64)
+    return back(0.5 * (edges[1:] + edges[:-1]))
 
 
 class Shown(NamedTuple):

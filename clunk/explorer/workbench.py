@@ -193,7 +193,7 @@ class Workbench:
         if self._results is None:
             return ""
         part = self._results.of_lash(self._lash.value)
-        return str((*part.labels, FAILED)[part.sequence[position(part.axes, self._values(cell))]])
+        return (*part.labels, FAILED)[part.sequence[position(part.axes, self._values(cell))]]
 
     def _hover(self, cell: Cell | None) -> None:
         if cell != self._hovered:

@@ -48,8 +48,7 @@ class Raster:
     def pixels(self, values: Floats) -> Floats:
         """Raster columns and rows (n, 2) of data coordinates (n, 2)."""
         box = self.ax.get_window_extent()
-        positions: Floats = (self.ax.transData.transform(values) - [box.x0, box.y0]) / _PIXEL
-        return positions
+        return (self.ax.transData.transform(values) - [box.x0, box.y0]) / _PIXEL
 
     def measure(self, text: str, size: float) -> tuple[int, int]:
         """Width and height in raster pixels that a text takes, with room around it."""

@@ -227,7 +227,7 @@ class Layers:
     @property
     def failed(self) -> Bools:
         """Cells that failed."""
-        return np.asarray(self.codes == FAILED_CODE)
+        return self.codes == FAILED_CODE
 
     @cached_property
     def shares(self) -> Floats:

@@ -160,8 +160,7 @@ def cell_edges(axis: ResultAxis) -> Floats:
     to, back = ruler(axis)
     scaled = to(values)
     middle = 0.5 * (scaled[1:] + scaled[:-1])
-    edges: Floats = back(np.concatenate(([2 * scaled[0] - middle[0]], middle, [2 * scaled[-1] - middle[-1]])))
-    return edges
+    return back(np.concatenate(([2 * scaled[0] - middle[0]], middle, [2 * scaled[-1] - middle[-1]])))
 
 
 def cells_of(axis: ResultAxis, at: Floats) -> Positions:

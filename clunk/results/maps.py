@@ -431,8 +431,7 @@ class ToleranceMap(Map):
     def _of_finished(self, runs: Counts | Floats) -> Floats:
         """Numbers of runs as shares of those of their cells that did not fail."""
         finished = self.draws - self.runs[..., FAILED_CODE]
-        shares: Floats = np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
-        return shares
+        return np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
 
     def numbers(self, name: str) -> Floats:
         """The severity's mean or one of its quantiles in each cell."""
@@ -454,8 +453,7 @@ class ToleranceMap(Map):
     @cached_property
     def runs(self) -> Counts:
         """Of the N runs of a cell, those with each label, and last those that failed: shape + (labels + 1,)."""
-        runs: Counts = np.rint(self.probability * self.draws).astype(np.int32)
-        return runs
+        return np.rint(self.probability * self.draws).astype(np.int32)
 
     @property
     def certainty(self) -> Floats:

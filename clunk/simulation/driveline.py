@@ -191,7 +191,7 @@ class Driveline:
         """
         mobility = np.sum(self.lashes**2 / self.inertia[..., None, :], axis=-1)
         rates = np.sqrt(self.contact_stiffnesses * mobility)
-        return np.asarray(np.divide(2.0 * np.pi, rates, out=np.zeros_like(rates), where=rates > 0.0))
+        return np.divide(2.0 * np.pi, rates, out=np.zeros_like(rates), where=rates > 0.0)
 
     def modes(self, *, closed: bool) -> Modes:
         """Natural frequencies and damping ratios with all lashes closed or open; without stiffness they are locked."""

@@ -112,7 +112,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         return line.contact_stiffnesses * overlaps**2 / 2.0 * (not impulsive)
 
     def at_event(x: Floats, lash: int, side: int) -> float:
-        return float(indented(x, np.full(len(line.lashes), side))[lash])
+        return indented(x, np.full(len(line.lashes), side))[lash]
 
     def stored(x: Floats, regime: int) -> float:
         """Energy stored in the inertias, in the shafts and in the contact."""
@@ -178,7 +178,7 @@ def _work_of_wave(regime: Regime, x: Floats, load: Floats, length: float) -> flo
     rates[:size, :size], rates[:size, size] = regime.rates, regime.forcing
     form[2 * n, n : 2 * n] = form[n : 2 * n, 2 * n] = load / 2.0
     z = np.append(x, 1.0)
-    return float(z @ _integrals(rates, form[None], length)[1][0] @ z)
+    return z @ _integrals(rates, form[None], length)[1][0] @ z
 
 
 def _integrals(rates: Floats, forms: Floats, length: float) -> tuple[Floats, Floats]:

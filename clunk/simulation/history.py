@@ -126,7 +126,7 @@ class History:
             return self.angle
         momentum = driveline.inertia[:, None] * shape
         rolled = self.angle @ momentum / np.sum(momentum * shape, axis=0)
-        return np.asarray(self.angle - rolled @ shape.T, np.float64)
+        return self.angle - rolled @ shape.T
 
     @cached_property
     def touches(self) -> Touches:
@@ -230,10 +230,10 @@ def shown_until(trajectory: Trajectory) -> float:
     """
     study = trajectory.study
     modes = steady_driveline(study).modes(closed=True)
-    rate = float(np.min(2.0 * np.pi * modes.frequency * modes.damping_ratio, initial=np.inf))
+    rate = np.min(2.0 * np.pi * modes.frequency * modes.damping_ratio, initial=np.inf)
     fading = -np.log(_FAINT) / rate if rate > 0.0 else study.solver.end_time
-    span = min(max(1.5 * float(trajectory.events["time"][-1]), fading), study.solver.end_time)
-    rounded = float(np.ceil(10.0 * (study.load.step_time + span) - 1e-9) / 10.0)
+    span = min(max(1.5 * trajectory.events["time"][-1], fading), study.solver.end_time)
+    rounded = np.ceil(10.0 * (study.load.step_time + span) - 1e-9) / 10.0
     return min(rounded, study.load.step_time + study.solver.end_time)
 
 

@@ -163,4 +163,4 @@ def balanced(matrix: Floats) -> tuple[Floats, Floats, float]:
 
 def apply(matrix: Floats, rows: Floats) -> Floats:
     """The matrix times each row; without BLAS, whose threads wait for each other longer than this takes (0.5 ms)."""
-    return np.asarray(np.einsum("kj,ij->ik", matrix, rows))
+    return np.einsum("kj,ij->ik", matrix, rows)

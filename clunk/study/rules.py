@@ -91,12 +91,12 @@ def count_of_regimes(config: Config) -> int:
     states = 1
     for contact in (lash.contact for lash in config.lashes):  # open or on a flank, which by force may overlap unpressed
         states *= 5 if contact.model == "indentation" and contact.separation == "force" else 3
-    return int(states * 3 ** _frictions(config) * _stages(config))  # a friction sticks or slips either way
+    return states * 3 ** _frictions(config) * _stages(config)  # a friction sticks or slips either way
 
 
 def count_of_flows(config: Config) -> int:
     """Number of these that differ in which springs act and which parts move together."""
-    return int(2 ** (len(config.lashes) + _frictions(config)) * _stages(config))
+    return 2 ** (len(config.lashes) + _frictions(config)) * _stages(config)
 
 
 def _frictions(config: Config) -> int:

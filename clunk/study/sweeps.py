@@ -165,10 +165,10 @@ class Draw(Varied):
         numbers = self.numbers(nominal)
         low, high = numbers.get("low"), numbers.get("high")
         distribution = _distribution(self.distribution, numbers)
-        u = np.clip(np.asarray(probability, np.float64), _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
-        below = 0.0 if low is None else float(distribution.cdf(low))
-        above = 0.0 if high is None else float(distribution.sf(high))
-        values = np.asarray(distribution.ppf(below + u * (1.0 - below - above)), np.float64)
+        u = np.clip(probability, _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
+        below = 0.0 if low is None else distribution.cdf(low)
+        above = 0.0 if high is None else distribution.sf(high)
+        values = distribution.ppf(below + u * (1.0 - below - above))
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
         return np.clip(values, low, high) if (low, high) != (None, None) else values
 
@@ -221,7 +221,7 @@ class Sampling(Table):
         with warnings.catch_warnings():
             # Sobol points of other counts than powers of two
             warnings.filterwarnings("ignore", "The balance properties of Sobol", UserWarning)
-            return np.asarray(sampler(dimensions, seed=generator).random(self.count), np.float64)
+            return sampler(dimensions, seed=generator).random(self.count)
 
 
 class Sweep(Table):

@@ -106,8 +106,7 @@ class Cluster(Executor):
         if self._sent is None or self._sent[0] is not grid:
             # a task and not scattered data: a worker that dies takes no copy with it that could not be made again
             self._sent = grid, self._client.submit(pickle.loads, pickle.dumps(grid), pure=False)
-        future: Future[Any] = self._executor.submit(_run, versions(), self._sent[1], *arguments)
-        return future
+        return self._executor.submit(_run, versions(), self._sent[1], *arguments)
 
     def explained(self, error: BaseException) -> BaseException:
         """The error of a tile, as one for the user."""
