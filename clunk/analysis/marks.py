@@ -23,7 +23,7 @@ def thresholds_of(results: Map) -> list[float]:
     from clunk.simulation.small_gap import rigid_contact_thresholds  # 0.3 s, for no other map
 
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
-    return [float(ratio) for ratio in rigid_contact_thresholds(replace_values(study, fixed))]
+    return rigid_contact_thresholds(replace_values(study, fixed)).tolist()
 
 
 def ridge_of(values: Floats) -> Floats:

@@ -126,7 +126,7 @@ class Problem:
         self.optimize, self.runs, self.progress = _table(study), 0, None
         self._lash = lash
         free, minimize = self.optimize.parameters, self.optimize.minimize
-        self.low, self.high = np.array([(each.low, each.high) for each in free], np.float64).T
+        self.low, self.high = np.array([(each.low, each.high) for each in free]).T
         self._key = next((k for k, each in enumerate(free) if minimize in each.keys), None)
         is_of_runs = self._key is None and minimize != RELEASE_TIME
         self._numbers = [quantity_of(shown, study)] if shown else []
@@ -148,7 +148,7 @@ class Problem:
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
         keys = [key for each in free for key in each.keys]
-        if swept := self._cells.keys() & set(keys):
+        if swept := self._cells.keys() & keys:
             raise ClunkError(f"{min(swept)} is both free and swept: leave out its axis.")
         keys += [*self._cells, *(each.parameter for each in self._tolerances)]
         self._runner = Runner(self.study, [*dict.fromkeys(keys)], workers=workers)

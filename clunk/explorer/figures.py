@@ -62,7 +62,7 @@ class Message:
 
     def __init__(self, models: Mapping[str, Model]) -> None:
         self.source = ColumnDataSource(data={})
-        self.source.js_on_change("data", CustomJS(args={"models": dict(models)}, code=_CHANGE))
+        self.source.js_on_change("data", CustomJS(args={"models": models}, code=_CHANGE))
 
     def send(self, changes: Changes) -> None:
         """Change the models in the browser."""

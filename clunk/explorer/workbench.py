@@ -94,7 +94,7 @@ class Workbench:
         # over one axis, labels are the colours under a curve
         described = list(_quantities(results).items())[len(subject.plane) == 1 :]
         first = described[0][0] if len(subject.plane) > 1 else hardness(results)
-        names = list(results.lash_names)
+        names = results.lash_names
         self._quantity = Select(value=first, options=described, name="quantity", visible=bool(subject.plane), width=260)
         lashes = list(zip(names, names, strict=True))
         self._lash = Select(value=names[0], options=lashes, name="of lash", visible=bool(results.lashes), width=260)

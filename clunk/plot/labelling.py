@@ -43,7 +43,7 @@ class Raster:
         x = to_data(np.column_stack([box.x0 + across, np.full(across.size, box.y0)]))[:, 0]
         y = to_data(np.column_stack([np.full(upward.size, box.x0), box.y0 + upward]))[:, 1]
         codes = layers.codes_at(x, y)
-        return cls(ax, codes, np.zeros(codes.shape, np.bool_))
+        return cls(ax, codes, np.zeros(codes.shape, bool))
 
     def pixels(self, values: Floats) -> Floats:
         """Raster columns and rows (n, 2) of data coordinates (n, 2)."""

@@ -111,7 +111,7 @@ class Layers:
             why = _WHY_UNDEFINED.get(described.name, "")
             raise PlotError(f"There is no {described.name} to draw: it is not defined in any cell{why}.")
         codes = view.arrange(drawn.sequence)
-        undecided, draws = np.zeros(codes.shape, np.bool_), ""
+        undecided, draws = np.zeros(codes.shape, bool), ""
         if isinstance(drawn, ToleranceMap):
             draws = f"{drawn.draws:,} draws"
         elif not view.places:
@@ -127,7 +127,7 @@ class Layers:
             regions_of=np.array([*range(len(labels)), FAILED_CODE], np.int16),
             boundaries=traced,
             undecided=undecided,
-            unresolved=np.zeros((0, len(view.axes))) if traced is None else traced.unresolved[:, list(view.keep)],
+            unresolved=np.zeros((0, len(view.axes))) if traced is None else traced.unresolved[:, view.keep],
             values=values,
             value_label=drawn.plot_label(described),
             facts=(draws or (f"{codes.size:,} runs" if view.places else ""),),
@@ -285,7 +285,7 @@ class Layers:
         islands = (each.rings[0] for each in self.boundaries.regions if each.area < _SEEN and len(each.rings) == 1)
         unseen = {tuple(at) for ring in islands for at in ring}
         return [
-            curve[:, list(self.view.keep)]
+            curve[:, self.view.keep]
             for curve, is_drawn in zip(curves, left != right, strict=False)
             if is_drawn and not (tuple(curve[0]) in unseen and np.array_equal(curve[0], curve[-1]))
         ]
@@ -296,7 +296,7 @@ class Layers:
         if self.boundaries is None:
             return []
         codes = self.regions_of[self.boundaries.region_label].tolist()
-        rings = [tuple(ring[:, list(self.view.keep)] for ring in region.rings) for region in self.boundaries.regions]
+        rings = [tuple(ring[:, self.view.keep] for ring in region.rings) for region in self.boundaries.regions]
         return list(zip(codes, rings, strict=True))
 
     def codes_at(self, x: Floats, y: Floats) -> LabelCodes:

@@ -133,7 +133,7 @@ def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
         widest = max(len(line) for handle in handles for line in str(handle.get_label()).splitlines())
         columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
         look: Look = {"loc": "outside lower center", "ncols": min(columns, len(handles)), "frameon": False}
-        legend = figure.legend(handles=list(handles), handlelength=1.6, **look)
+        legend = figure.legend(handles=handles, handlelength=1.6, **look)
         figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
     _arrange(figure)
 

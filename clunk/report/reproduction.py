@@ -56,7 +56,7 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
 
 def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
     """Every figure of the report and of what bears on it: a file name's stem, and how to draw it."""
-    thresholds = [float(ratio) for ratio in rigid_contact_thresholds(e.study)]
+    thresholds = rigid_contact_thresholds(e.study).tolist()
     maps = e.maps
 
     def run(name: str, ratio: float = NOMINAL_RATIO, until: float = 1.0) -> History:

@@ -247,7 +247,7 @@ class Map(Design, ABC):
         """Pairs of a name and a value on what the labels leave out, for people."""
 
     def __repr__(self) -> str:
-        labels = [tuple(row.values()) for row in self.label_table()]
+        labels = [row.values() for row in self.label_table()]
         rows = [*self.summary(), *self.facts, *((label, ", ".join(numbers)) for label, *numbers in labels)]
         return as_text(f"clunk.{type(self).__name__} {self.title!r}", rows)
 
@@ -293,7 +293,7 @@ class Results(Map):
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
         """What follows from the label of each cell; NaN where it failed. numbers : of the labels, in their order"""
-        return np.array([*numbers, np.nan], np.float64)[self.sequence]  # the code of failed cells, -1, is the last
+        return np.array([*numbers, np.nan])[self.sequence]  # the code of failed cells, -1, is the last
 
     def numbers(self, name: str) -> Floats:
         """A quantity of cells as float64, NaN where the run failed."""

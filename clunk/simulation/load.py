@@ -115,7 +115,7 @@ def _divisor(time: Floats) -> Floats:
 def _rows(*pieces: tuple[Numbers, ...]) -> Floats:
     """(rows, P, PIECE): the columns of pieces, broadcast against each other; one row if all are numbers."""
     columns = np.broadcast_arrays(*chain(*pieces))
-    return np.stack(columns, axis=-1).astype(np.float64).reshape(-1, len(pieces), PIECE)
+    return np.stack(columns, axis=-1).reshape(-1, len(pieces), PIECE)
 
 
 WAVES = {"smooth": "duration", "lag": "time_constant", "sine": "frequency"}  # profile -> key of how fast it moves

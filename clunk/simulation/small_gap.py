@@ -188,4 +188,4 @@ def levels_of_excursions(extremes: Floats, count: int) -> Floats:
         excursions = below.sum() - joined.sum()
         while len(levels) < min(excursions, count):
             levels.append(-1.0 / level)
-    return np.array(levels, dtype=np.float64)
+    return np.array(levels)

@@ -82,7 +82,7 @@ def shorten(value: object, width: int = 40) -> str:
 
 def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     """The known name that `name` most likely means, if any is alike enough, up to 1."""
-    return next(iter(difflib.get_close_matches(name[:100].lower(), list(known), n=1, cutoff=cutoff)), None)
+    return next(iter(difflib.get_close_matches(name[:100].lower(), known, n=1, cutoff=cutoff)), None)
 
 
 def listing(names: Sequence[str], last: str = "and") -> str:

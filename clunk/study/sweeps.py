@@ -176,12 +176,10 @@ class Draw(Varied):
         """Values of the key, from the numbers that were drawn and its nominal value."""
         drawn, nominal = np.asarray(drawn, np.float64), np.asarray(nominal, np.float64)
         if self.draws == "factor":
-            values = nominal * drawn
-        elif self.draws == "offset":
-            values = nominal + drawn
-        else:
-            values = drawn + np.zeros_like(nominal)
-        return np.asarray(values, np.float64)
+            return nominal * drawn
+        if self.draws == "offset":
+            return nominal + drawn
+        return drawn + np.zeros_like(nominal)
 
 
 def _distribution(name: str, n: Mapping[str, float]) -> Any:

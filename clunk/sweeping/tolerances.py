@@ -138,7 +138,7 @@ def _summary(codes: LabelCodes, severity: Floats, status: Array) -> tuple[tuple[
     nominal = int(codes[-1])
     runs = {} if nominal == FAILED_CODE else {nominal: 0}
     found, counts = np.unique(codes[:-1][codes[:-1] != FAILED_CODE], return_counts=True)
-    runs |= dict(zip(found.tolist(), counts.tolist(), strict=True))
+    runs |= zip(found.tolist(), counts.tolist(), strict=True)
     known = severity[:-1][np.isfinite(severity[:-1])]
     mean, quantiles = (known.mean(), np.quantile(known, QUANTILES)) if known.size else (np.nan, np.nan)
     first_failed = status[np.argmax(status[:-1] != Status.OK)]
