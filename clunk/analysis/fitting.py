@@ -387,7 +387,7 @@ def check(study: Study, experiment: Experiment) -> None:
                 f'{axis} is measured: what is fitted must act on the measured values; set draws = "factor" or "offset".'
             )
     has_severity = any("impact_severity" in each.impacts for each in experiment.measurements)
-    if has_severity and study.lashes[0].contact.model == "restitution":
+    if has_severity and study.has_rigid_flanks:
         raise ClunkError("impact_severity is not defined for the restitution model; impact_closing_speed is.")
     for measurement in experiment.measurements:
         if max(measurement.impacts.get("impact_time", {}).values(), default=0.0) > study.solver.end_time:

@@ -153,7 +153,7 @@ def sensitivity(
     'lash.contact.stiffness'
     """
     point = operating_point(study)
-    hardness = "approach_velocity" if point.lashes[0].contact.model == "restitution" else "severity"
+    hardness = "approach_velocity" if point.has_rigid_flanks else "severity"
     names = of or (hardness, "nominal_label")
     parameters = tuple(draw.parameter for draw in point.swept.tolerances)
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))

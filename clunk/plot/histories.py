@@ -220,7 +220,7 @@ def draw_acceleration(ax: Axes, runs: Runs, looks: Looks) -> None:
     watched = {run.watched for run in runs}
     index = _index(watched.pop()) if len(watched) == 1 else ""
     ax.set_ylabel("Acceleration\n" + rf"$\mathregular{{\ddot{{\theta}}}}${index} [rad/s²]")
-    if any(run.is_restitution for run in runs):
+    if any(run.study.has_rigid_flanks for run in runs):
         ax.margins(y=0.2)
         text = "restitution model: between the touches only, where velocities jump; Q is not defined"
         ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, transform=ax.transAxes, ha="right", va="top")
@@ -242,7 +242,7 @@ def _mark_severity(ax: Axes, run: History) -> None:
 
 def measured_impacts(run: History) -> Sequence[Impact]:
     """The primary impacts whose peak-to-peak accelerations are marked: none where they would hide the curve."""
-    impacts = [each for each in run.impacts if each.begin <= run.time[-1] and not run.is_restitution]
+    impacts = [each for each in run.impacts if each.begin <= run.time[-1] and not run.study.has_rigid_flanks]
     return impacts if len(impacts) <= _LABELLED else []
 
 

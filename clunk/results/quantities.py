@@ -245,8 +245,7 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     name, relation, bound = words.groups("") if words else (text, "", "")
     if name not in known:
         raise no_quantity(text, [*known, "severity<=8000", "label=DS(1)SS(1)"], name)
-    restitution = isinstance(source, Study) and any(lash.contact.model == "restitution" for lash in source.lashes)
-    if name in _UNDEFINED and restitution:
+    if name in _UNDEFINED and isinstance(source, Study) and source.has_rigid_flanks:
         raise ClunkError(f"{name} is not defined for the restitution model; {_UNDEFINED[name]} is.")
     quantity = known[name]
     if not relation:

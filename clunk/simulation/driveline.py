@@ -75,9 +75,7 @@ class Driveline:
         of_shafts, of_lashes = [("driveline", "shafts", k) for k in range(len(shafts))], study.lash_places
         shaft_rows, rows = _incidence(varied, of_shafts, shafts, n), _incidence(varied, of_lashes, lashes, n)
         contacts = [lash.contact for lash in lashes]
-        if any(each.model == "restitution" for each in contacts) and alike(
-            np.linalg.matrix_rank(rows) < len(lashes), 0
-        ):
+        if study.has_rigid_flanks and alike(np.linalg.matrix_rank(rows) < len(lashes), 0):
             raise ClunkError(
                 "Rigid lashes in a ring or side by side share a torque that nothing divides between them: "
                 'give each contact.model = "indentation".'
@@ -285,7 +283,7 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
     def numbers(key: str, own: Sequence[float]) -> FloatArray:
         return _numbers(varied, [(*place, "contact", key) for place in study.lash_places], own)
 
-    are_rigid = contacts[0].model == "restitution"  # whose locked state itself is sticking
+    are_rigid = study.has_rigid_flanks  # whose locked state itself is sticking
     sticking = 0.0 if are_rigid else varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
     locking_speeds = [each.locking_speed for each in contacts]
     return tables.Lashes(
@@ -303,10 +301,11 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
 
 def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[FloatArray, FloatArray]]:
     """Damping and stiffness in each flow, without its constraints."""
-    staged, is_rigid = [shaft for _, shaft in driveline.staged], study.lashes[0].contact.model == "restitution"
+    staged = [shaft for _, shaft in driveline.staged]
     flows = flows_of(len(study.lashes), staged, len(driveline.frictions))
     return {
-        each: driveline.in_stages(each.stages).matrices(closed=False if is_rigid else each.closed) for each in flows
+        each: driveline.in_stages(each.stages).matrices(closed=False if study.has_rigid_flanks else each.closed)
+        for each in flows
     }
 
 

@@ -108,11 +108,6 @@ class History:
         return float(self.lash.radius * np.deg2rad(self.lash.backlash_deg) / 2)
 
     @property
-    def is_restitution(self) -> bool:
-        """Whether contact is an impulse, in which accelerations are not defined."""
-        return self.lash.contact.model == "restitution"
-
-    @property
     def watched(self) -> int:
         """The inertia whose acceleration gives the severity, counted from 1."""
         return self.study.watched[self.trajectory.lash]

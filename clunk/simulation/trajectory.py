@@ -106,7 +106,7 @@ class Trajectory:
     @property
     def severity(self) -> float:
         """Q = sqrt(sum Q_i²)  [rad/s2] (report Eq. 3.3); not defined for the restitution model (NaN)."""
-        if self.study.lashes[0].contact.model == "restitution":
+        if self.study.has_rigid_flanks:
             return float("nan")
         return root_of_squares(self.impact_severity, self.impact_severity.size)
 

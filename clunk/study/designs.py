@@ -153,7 +153,7 @@ def unused_parameters(study: Study) -> list[str]:
 
 def is_unused(study: Study, parameter: str) -> bool:
     """Whether a key changes nothing in the study's contact model."""
-    if study.lashes[0].contact.model == "restitution":
+    if study.has_rigid_flanks:
         unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
     else:
         unused = {"lash.contact.restitution", "lash.contact.locking_speed"}

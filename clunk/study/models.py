@@ -366,6 +366,11 @@ class Config(Table):
         return self.lash if isinstance(self.lash, tuple) else (self.lash,)
 
     @property
+    def has_rigid_flanks(self) -> bool:
+        """Whether touches are impulses, by the restitution model, which then all lashes have."""
+        return self.lashes[0].contact.model == "restitution"
+
+    @property
     def lash_places(self) -> tuple[Place, ...]:
         """The place of each lash in the config."""
         return tuple(("lash", k) for k in range(len(self.lash))) if isinstance(self.lash, tuple) else (("lash",),)

@@ -356,7 +356,7 @@ def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
             yield f"{radius} = {lash.radius:g} m; it is in meters, and {lash.radius / 1e3:g} if that was in mm"
         stiffness, torque = lash.contact.stiffness, _largest_torque(config.load)
         key = dotted((*place, "contact", "stiffness"))
-        if lash.contact.model == "restitution" or stiffness is None or {key, radius} & swept:
+        if config.has_rigid_flanks or stiffness is None or {key, radius} & swept:
             continue
         if (overlap := torque / (lash.radius**2 * stiffness)) > DEEPEST:
             yield (
