@@ -248,7 +248,7 @@ def with_method(study: Study, method: Method) -> Study:
 
 def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:
     swept = [
-        ", ".join(axis.spread if axis.words else f"{axis.parameter} ({len(axis.values)} values)" for axis in axes)
+        ", ".join(axis.spread if axis.words else f"{axis.parameter} ({len(axis)} values)" for axis in axes)
         for axes in (a, b)
     ]
     if swept[0] != swept[1]:

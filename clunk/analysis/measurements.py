@@ -269,10 +269,10 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
                 f"The column {shorten(column)} of {experiment.name} is no axis of the results, which sweep {swept}."
             )
     for axis in results.axes:
-        if axis.variable not in experiment.columns and len(axis.values) > 1:
+        if axis.variable not in experiment.columns and len(axis) > 1:
             raise ClunkError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
     points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
-    trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis.values) > 1)
+    trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis) > 1)
     inside = [point for point in points if point.counts]
     agreeing, failed = sum(point.agrees for point in inside), sum(point.computed == FAILED for point in points)
     return ExperimentComparison(

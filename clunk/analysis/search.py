@@ -72,7 +72,7 @@ def grid_axes(study: Study, what: str) -> tuple[ResultAxis, ...]:
 def check_axis(study: Study, axis: ResultAxis, what: str) -> None:
     """Raise ClunkError where nothing lies between the values of an axis."""
     is_whole = located(study, axis.parameter)[1].whole
-    if is_whole or len(np.unique(axis.values)) < max(len(axis.values), 2):
+    if is_whole or len(np.unique(axis.values)) < max(len(axis), 2):
         lies = "is a whole number, between whose values nothing lies" if is_whole else "has one value, or one twice"
         raise ClunkError(f"{what} along {axis.parameter} lie between two values or more, and it {lies}.")
 

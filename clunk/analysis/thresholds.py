@@ -231,8 +231,8 @@ def thresholds(
     drawn = drawn_numbers(study, tolerances)
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
     keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
-    points = np.zeros(design.cells * len(along_axis.values), POINT)
-    points["cell"], scanned = np.divmod(np.arange(points.size), len(along_axis.values))
+    points = np.zeros(design.cells * len(along_axis), POINT)
+    points["cell"], scanned = np.divmod(np.arange(points.size), len(along_axis))
     points["value"] = along_axis.values[scanned]
     with engine_of(None, workers) as engine, reporting(progress, points.size, study, what="runs") as report:
         point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)

@@ -32,7 +32,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     if as_json:
         axes = [
             {"parameter": axis.parameter, "unit": axis.unit}
-            | {"lowest": axis.values.min(), "highest": axis.values.max(), "count": len(axis.values)}
+            | {"lowest": axis.values.min(), "highest": axis.values.max(), "count": len(axis)}
             for axis in results.parameters
             if not axis.words
         ]

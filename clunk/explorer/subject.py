@@ -50,12 +50,12 @@ class Subject:
         self.study = nominal(self._toleranced)
         self._first = results.of_lash()  # whose axes are those of all lashes
         self._axes = self._first.axes
-        changing = [axis for axis in self._axes if len(axis.values) > 1]
+        changing = [axis for axis in self._axes if len(axis) > 1]
         grid = [axis for axis in changing if axis.parameter != RUN]  # runs have no order
         self.plane = tuple(parted_axes(grid or changing)[0])
         self.slices = tuple(axis for axis in changing if axis not in self.plane)
         swept = (axis for axis in results.parameters if axis.parameter != LASH)
-        self.swept = tuple(axis for axis in swept if len(axis.values) > 1)
+        self.swept = tuple(axis for axis in swept if len(axis) > 1)
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""
@@ -91,10 +91,10 @@ class Subject:
         Axes that are walked together are computed at once; lines are traced where the exact method does so quickly.
         """
         study = self._study_of_map(slices, numbers)
-        if not self._has_runs and any(len(axis.values) > _COARSE for axis in self.plane):
+        if not self._has_runs and any(len(axis) > _COARSE for axis in self.plane):
             axes = []
             for axis in design_of(study).axes:
-                last = len(axis.values) - 1
+                last = len(axis) - 1
                 few = np.unique(np.rint(np.linspace(0, last, min(last + 1, _COARSE))).astype(np.intp))
                 axes.append(replace(axis, values=axis.values[few]))
             yield sweep(study, Design(tuple(axes)), progress=progress)

@@ -114,7 +114,7 @@ def _with_points(results: Results, points: Sequence[tuple[Mapping[str, float], s
 
 def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis:
     """The axis with several values beside the key. Raises PlotError where there is none, or more than one."""
-    several = [axis for axis in axes if len(axis.values) > 1 and axis.parameter not in (DRAW, QUANTILE)]
+    several = [axis for axis in axes if len(axis) > 1 and axis.parameter not in (DRAW, QUANTILE)]
     if len(several) > 1:
         names = " and ".join(axis.parameter for axis in several)
         raise style.PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
@@ -153,7 +153,7 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
         _draw_bands(ax, nominal, x, {}, slice(None), **_WITHOUT)
         curves.append(Line2D([], [], **_WITHOUT))
     scale_panels(figure, [ax], (x, thresholds.along))
-    fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis.values) == 1]
+    fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis) == 1]
     notes = []
     for code in sorted(seen):
         notes.append(style.swatch(words(thresholds.word(code)), [*fills, style.FAILED_FILL][code]))

@@ -172,8 +172,8 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
     axes = [changing[facet] for facet in facets]
     values = []
     for axis in axes:
-        count = min(MOST_VALUES[len(axes) - 1], len(axis.values))
-        values.append(np.sort(axis.values)[np.rint(np.linspace(0, len(axis.values) - 1, count)).astype(np.intp)])
+        count = min(MOST_VALUES[len(axes) - 1], len(axis))
+        values.append(np.sort(axis.values)[np.rint(np.linspace(0, len(axis) - 1, count)).astype(np.intp)])
     places = list(product(*values))
     most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
     parts = [results.at(dict(zip(facets, place, strict=True))) for place in places]
@@ -182,9 +182,7 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
         "\n".join(symbol_text(value_text(axis, value, symbol=True)) for axis, value in zip(axes, place, strict=True))
         for place in places
     ]
-    counts = [
-        f"{axis.name}: {len(shown)} of {len(axis.values)} values" for axis, shown in zip(axes, values, strict=True)
-    ]
+    counts = [f"{axis.name}: {len(shown)} of {len(axis)} values" for axis, shown in zip(axes, values, strict=True)]
     layers = replace(panels[0], caveats=(*counts, *results.caveats))
     line = layers.subtitle(fixed_parameters(results))
     return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)

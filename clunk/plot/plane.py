@@ -46,7 +46,7 @@ class View:
         Raises PlotError where the map has more axes, or other parameters.
         """
         swept = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
-        if not any(axis.parameter == RUN and len(axis.values) > 1 for axis in drawn.axes):
+        if not any(axis.parameter == RUN and len(axis) > 1 for axis in drawn.axes):
             if x is not None or y is not None:
                 raise PlotError(
                     "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio "
@@ -90,7 +90,7 @@ class View:
         each other.
         """
         dimensions = [axis.parameter for axis in drawn.axes]
-        changing = {axis.parameter: axis for axis in (*drawn.parameters, *drawn.axes) if len(axis.values) > 1}
+        changing = {axis.parameter: axis for axis in (*drawn.parameters, *drawn.axes) if len(axis) > 1}
         for name in names:
             if name not in changing:
                 raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
@@ -136,14 +136,14 @@ def parted_axes(swept: Sequence[ResultAxis]) -> tuple[list[ResultAxis], list[Res
 
 def drawn_axes(drawn: Map) -> tuple[int, ...]:
     """Indices of the axes with more than one value, x first; of the first axis if there is none."""
-    keep = [index for index, axis in enumerate(drawn.axes) if len(axis.values) > 1] or [0]
+    keep = [index for index, axis in enumerate(drawn.axes) if len(axis) > 1] or [0]
     return tuple(sorted(keep, key=lambda index: drawn.axes[index].parameter != _X))
 
 
 def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
     """Parameters with one value: axes, and a single run's coordinates."""
     shown = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
-    return tuple(axis for axis in drawn.parameters if len(axis.values) == 1 and axis.parameter not in shown)
+    return tuple(axis for axis in drawn.parameters if len(axis) == 1 and axis.parameter not in shown)
 
 
 def ruler(axis: ResultAxis) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
@@ -165,7 +165,7 @@ def cell_edges(axis: ResultAxis) -> Floats:
 
 def cells_of(axis: ResultAxis, at: Floats) -> Positions:
     """Positions of the cells of an ascending axis in which points lie; beyond it the first and the last."""
-    return np.clip(np.searchsorted(cell_edges(axis), at) - 1, 0, len(axis.values) - 1)
+    return np.clip(np.searchsorted(cell_edges(axis), at) - 1, 0, len(axis) - 1)
 
 
 def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAxis]) -> None:

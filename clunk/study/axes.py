@@ -37,6 +37,10 @@ class ResultAxis:
     words: tuple[str, ...] = ()
     along: tuple["ResultAxis", ...] = ()
 
+    def __len__(self) -> int:
+        """Number of values."""
+        return len(self.values)
+
     @property
     def parameters(self) -> tuple["ResultAxis", ...]:
         """The parameters that change along the axis: itself, or of `run` several."""

@@ -36,7 +36,7 @@ class Design:
     @property
     def shape(self) -> tuple[int, ...]:
         """Length of each axis."""
-        return tuple(len(axis.values) for axis in self.axes)
+        return tuple(len(axis) for axis in self.axes)
 
     @property
     def cells(self) -> int:
