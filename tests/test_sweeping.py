@@ -4,8 +4,9 @@ import h5py
 import numpy as np
 import pytest
 from helpers.maps import CELL_QUANTITIES, IMPACT_QUANTITIES
+from helpers.studies import random_study
 
-from clunk.core.status import Status
+from clunk.core.status import QUALITY_UNDECIDED, Status
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
@@ -14,6 +15,7 @@ from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.sweep import sweep
 
 # in the order of their codes: by the number of primary impacts and then the label, whichever cell finished first
+TOLERANCE = 1e-4  # of a margin
 FIGURE_3_4 = ("NI", "SS(1)", "DS(1)", "SS(2)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
 
 
@@ -160,6 +162,39 @@ class TestCells:
         for at in np.ndindex(results.shape):
             values = {axis.parameter: axis.values[k] for axis, k in zip(results.axes, at, strict=True)}
             same_as_single_run(results, at, replace_values(base, values))
+
+
+class TestChaos:
+    def test_where_rounding_decides_the_label_cells_are_undecided(self):
+        """Of undamped flanks on both sides of two lashes: 4e-15 of the torque makes another label in most cells."""
+        base = random_study(9115)
+        other = replace_values(base, {"load.initial_torque": (1.0 + 4e-15) * base.load.initial_torque})
+        results, others = sweep(base), sweep(other)
+        differ = results.label_map != others.label_map
+        assert np.count_nonzero(differ) > differ.size / 2
+        assert (results.quality[differ.any(axis=-1)] & QUALITY_UNDECIDED).all()
+        unflagged = sweep(random_study(9115, "solver.margin_tolerance=0.0"))
+        assert not (unflagged.quality & QUALITY_UNDECIDED).any()
+
+    def test_many_touches_that_damping_makes_forgotten_are_decided_by_the_margin(self):
+        """Each touch keeps 0.9 of the speed, hundreds of them none."""
+        text = f"""
+        [driveline]
+        preset = "boere-2008"
+        [lash.contact]
+        model = "restitution"
+        restitution = 0.9
+        [solver]
+        method = "exact"
+        margin_tolerance = {TOLERANCE}
+        [[sweep.axes]]
+        parameter = "load.ratio"
+        values = [1.0, 3.0, 5.0, 7.0, 9.0]
+        """
+        results = sweep(study_from_text(text))
+        assert results.touches.max() > 100
+        is_undecided = results.quality & QUALITY_UNDECIDED != 0
+        assert is_undecided.tolist() == (np.abs(results.margin) < TOLERANCE).tolist()
 
 
 class TestFailedCells:

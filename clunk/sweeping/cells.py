@@ -20,7 +20,7 @@ from clunk.core.events import EVENT
 from clunk.core.jit import is_cold
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
-from clunk.core.status import Status
+from clunk.core.status import QUALITY_UNDECIDED, Status
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation.batches import most_prepared, of_system, prepare_many, prepare_one
 from clunk.simulation.load import WAVES, cases_of
@@ -44,6 +44,9 @@ _FEW = 32  # cells, whose time tells whether others are worth threads
 _FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 16  # of a run in a lash, that there is room for at first
+_MANY_TOUCHES = 36  # of a lash, after which 1e-16 of the gap is as large as the gap, if each magnifies it threefold
+_NUDGED = 1.0 + 1e-13  # a hundred times rounding
+_OUTCOME = ["pattern", "touches"]  # that other impacts change
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
 _AT_ONCE = 1 << 23  # events that runs may have which are taken at a time: of each second one an impact, 134 MB
 _STATES = 1 << 16  # those whose states there is room for at a time: 8 MB, which the caches nearly hold
@@ -284,10 +287,33 @@ class Grid:
     ) -> tuple[Records, Records]:
         """Records and impacts, as the grid's layout has them, of the runs that were done before `stop` was set.
 
-        Runs whose impacts find no room are run again, so that the room for each is doubled then.
+        A run of so many touches that these may have magnified rounding to the size of the gap is repeated from a
+        torque and gaps that differ by a little more than rounding: where it has other impacts, it is undecided.
 
         room : for the events of each
         logs, states : of `kernel.Output`, or of no run; with states, what the config measures is measured
+        """
+        cells, details = self._followed(batch, cases, stop, room, logs, states)
+        if self.study.solver.method == "exact" and self.study.solver.margin_tolerance:
+            long = np.flatnonzero((cells["touches"] >= _MANY_TOUCHES).any(axis=1))
+            again = cases.at(long)
+            again = again._replace(before=again.before * _NUDGED)
+            others, _ = self._followed(batch, again, stop, room, logs[:0], states[:0])
+            if len(others) < long.size:
+                cells, details = cells[:0], details[:0]
+            else:
+                differ = (cells[_OUTCOME][long] != others[_OUTCOME]).any(axis=1)
+                cells["quality"][long[differ]] |= QUALITY_UNDECIDED
+        if not len(states):
+            return cells.ravel(), details
+        return self._measured(batch, cases, kernel.Output(cells, details, logs, states))
+
+    def _followed(
+        self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int, logs: Records, states: Floats
+    ) -> tuple[Records, Records]:
+        """CELL (n, lashes) and IMPACT of the first n runs, which were done before `stop` was set; see `_run`.
+
+        Runs whose impacts find no room are run again, so that the room for each is doubled then.
         """
         solver, runs, lashes = self.study.solver, len(cases.before), self.layout.lashes
         most = min(room, solver.max_events)
@@ -299,10 +325,7 @@ class Grid:
             done, written = kernel.run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
             impacts.append(found[:written].copy())
             each *= 2
-        details = np.concatenate(impacts, dtype=IMPACT) if impacts else np.zeros(0, IMPACT)
-        if not len(states):
-            return cells[:done].ravel(), details
-        return self._measured(batch, cases, kernel.Output(cells[:done], details, logs, states))
+        return cells[:done], np.concatenate(impacts, dtype=IMPACT) if impacts else np.zeros(0, IMPACT)
 
     def _measured(self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output) -> tuple[Records, Records]:
         """Records and impacts of runs with their measures."""

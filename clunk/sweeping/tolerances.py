@@ -50,7 +50,7 @@ class SampleGrid(Grid):
         self._tolerances = study.swept.tolerances
         keys = dict.fromkeys(axis.parameter for axis in self.design.parameters)
         keys |= dict.fromkeys(draw.parameter for draw in self._tolerances)
-        alone = study.but(sweep=None)
+        alone = study.but(sweep=None, solver=study.solver.but(margin_tolerance=0.0))
         self._of_runs = Grid(alone, along_run((key, np.zeros(1)) for key in keys))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.swept.sampling.count
