@@ -155,10 +155,10 @@ def test_a_cell_has_all_that_its_own_run_finds(small, results):
 
 
 def test_a_cell_that_is_not_there_is_refused(results):
-    with pytest.raises(ValueError, match=r"named by load.ratio and lash.backlash_deg, not by load.ratio\."):
+    with pytest.raises(clunk.ClunkError, match=r"named by load.ratio and lash.backlash_deg, not by load.ratio\."):
         results.cell({"load.ratio": 5.0})
     for wrong in (11.0, float("nan")):
-        with pytest.raises(ValueError, match=r"load\.ratio is swept from 0 to 10"):
+        with pytest.raises(clunk.ClunkError, match=r"load\.ratio is swept from 0 to 10"):
             results.cell({"load.ratio": wrong, "lash.backlash_deg": 5.0})
 
 

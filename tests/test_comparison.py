@@ -464,6 +464,18 @@ def test_experiment_map_shows_every_point_inside_filled_where_it_agrees() -> Non
     assert "outside the map, not counted: 4" in notes(figure)
 
 
+def test_panels_keep_their_size_where_all_points_agree_or_none_does() -> None:
+    """A line of no points has its place at the corner of the figure, and pushed the panels apart."""
+    results, comparison = table_on_the_map()
+    widths = []
+    for agree in (comparison.points[0].agrees, True, False):
+        points = tuple(replace(point, computed=point.measured if agree else "NI") for point in comparison.points)
+        (ax,) = experiment_map(results, replace(comparison, points=points)).axes
+        widths.append(ax.get_position().width)
+    assert max(widths) - min(widths) < 0.02
+    assert min(widths) > 0.8
+
+
 def test_figures_need_two_axes() -> None:
     results = make(["NI", "SS(1)"], [replace(X, values=np.array([0.0, 1.0]))])
     with pytest.raises(PlotError, match="needs two axes"):

@@ -825,7 +825,7 @@ WRONG_DESIGNS = {
     "wrong torque": (drawn(sample("load.final_torque", "normal", std=1.0)), "sweep.samples[1].parameter",
                      "load.final_torque does not apply"),
     "nothing to be around": (drawn(sample("lash.contact.locking_speed", "normal", std=1.0)),
-                             "sweep.samples[1].parameter", "has no value in this config"),
+                             "sweep.samples[1].parameter", "needs a value in this config"),
     "negative inertia": (drawn(sample("driveline.inertias[4]", "normal", draws="factor", std=0.6)),
                          "sweep.samples[1]", "(low and high bound it): found -"),
     "samples and tolerances": (drawn(sample(STIFFNESS, "normal", std=1.0))

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -215,6 +216,23 @@ def test_commands_take_a_lash_by_name(path, command):
     code, out, _ = command("modes", config)
     assert "all lashes closed" in out
     assert "load ratio" not in out  # of one impact more: lashes do not change sides together
+
+
+@pytest.mark.parametrize("names", [("a b", "a/b"), ("x" * 300, "x" * 299 + "y")], ids=["signs", "long"])
+def test_pictures_of_all_lashes_are_kept_though_their_names_are_alike_in_files(names, two, tmp_path, command):
+    axis = replace(two.axes[-1], words=names)
+    clunk.write_results(tmp_path / "two.h5", replace(two, axes=(*two.axes[:-1], axis)))
+    code, out, err = command("plot", tmp_path / "two.h5", "--quantity", "regimes")
+    assert (code, err) == (0, "")
+    assert out.split() == [str(tmp_path / f"two-{number}-regimes.png") for number in (1, 2)]
+
+
+def test_the_picture_of_a_comparison_is_that_of_the_first_lash(path, tmp_path, command):
+    clunk.write_results(tmp_path / "other.h5", made(seed=2))
+    code, _, _ = command("compare", path, tmp_path / "other.h5", "-o", tmp_path / "differences.svg")
+    assert code == 0
+    first = clunk.compare(clunk.read_results(path).of_lash(), made(seed=2).of_lash())
+    assert f"{first.differing} of 20 cells differ" in (tmp_path / "differences.svg").read_text("utf-8")
 
 
 def test_a_history_has_the_backlash_of_each_lash(tmp_path):

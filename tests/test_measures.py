@@ -135,6 +135,20 @@ def test_measures_are_those_of_the_sampled_motion(names, overrides):
     assert totals == pytest.approx(roots | {name: measures[name] for name in names}, rel=CLOSE, nan_ok=True)
 
 
+@pytest.mark.parametrize("stiffness", [3e4, 1e6, 2e7])
+def test_an_undamped_pair_that_a_step_excites_swings_between_zero_and_twice_its_mean(stiffness):
+    """x2'' = ΔT/(J1 + J2) (1 - cos ωt), all through the run: every other term of its series from rest is zero."""
+    study = study_from_text(f"""
+    driveline = {{inertias = [0.25, 1.5], shafts = []}}
+    lash = {{between = [1, 2], backlash_deg = 2.0, radius = 0.05, contact = {{stiffness = {stiffness}, damping = 0.0}}}}
+    load = {{initial_torque = 100.0, final_torque = 95.0}}
+    solver = {{method = "exact", end_time = 1.0}}
+    measures = [{{name = "swing", quantity = "acceleration", of = 2, reduce = "peak-to-peak"}}]
+    """)
+    swing = clunk.run_points(study, {"load.final_torque": [95.0]}).values("swing")
+    assert swing == pytest.approx(2.0 * (100.0 - 95.0) / (0.25 + 1.5), rel=1e-8)  # the rolling angle's rounding
+
+
 @pytest.mark.parametrize("contact", ["separation=force", "model=restitution"])
 @pytest.mark.parametrize("stages", [[], STAGES], ids=["plain", "staged"])
 def test_the_energy_of_impacts_is_what_the_balance_says_the_contact_took(contact, stages):

@@ -200,6 +200,31 @@ def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
     assert np.all(np.diff(durations) > -0.006)
 
 
+def test_an_interrupted_trade_off_hands_over_the_points_that_are_done(brief, monkeypatch):
+    monkeypatch.setattr(optimisation, "_FRONT", 3)
+    done = []
+
+    def optimised(*arguments, **options):
+        if len(done) == 2:
+            raise KeyboardInterrupt("the best for the bound that is not done")
+        done.append(optimize(*arguments, **options))
+        return done[-1]
+
+    monkeypatch.setattr(optimisation, "optimize", optimised)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        front(damped_ramp("load.duration", []), "severity")
+    (so_far,) = caught.value.args
+    assert list(so_far.points) == done
+
+
+def test_what_is_shown_as_it_is_is_the_config_s_own_run_though_keys_are_tied(brief):
+    text = to_toml(damped_ramp("severity", [])).replace('"load.duration"', '["load.duration", "load.ratio"]')
+    study = study_from_text(text)
+    before = {each[""]: each["as it is"] for each in optimize(study).changes}
+    assert (before["load.duration"], before["load.ratio"]) == (study.load.duration, study.load.ratio) == (0.1, 3.0)
+    assert before["severity"] == pytest.approx(clunk.simulate(study.but(optimize=None)).severity, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
@@ -211,6 +236,7 @@ def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
             "load.durations[1]: found -0.1; must be a number, 0 or greater",
         ),
         ("[optimize]\n", "[optimize]\nrobust = 0.9\n", "needs [[sweep.tolerances]]"),
+        ('"load.levels[1]"\nlow', '"impacts.sticking_time"\nlow', "impacts.sticking_time needs a value in this config"),
         ('"load.levels[1]"\nlow', '"load.durations[1]"\nlow', "is free as optimize.parameters[1] already"),
         ('"label=NI"', '"severity"', "optimize.subject_to: severity is no condition"),
         ('"label=NI"', '"severty<=8"', "did you mean severity"),

@@ -20,6 +20,19 @@ def test_runs_are_a_file_like_any_other(single, tmp_path):
     assert clunk.study_from_text(again.config).sweep is None
 
 
+def test_a_runner_without_keys_is_refused(single):
+    with pytest.raises(clunk.ConfigError, match="needs a key or more"):
+        clunk.Runner(single, [])
+
+
+def test_values_are_asked_for_in_the_words_of_quantities(single):
+    runs = clunk.run_points(single, {"load.ratio": [1.0, 5.0]})
+    assert runs.values("severity<=8000").tolist() == [1.0, 0.0]
+    assert runs.values("label=NI").tolist() == [1.0, 0.0]
+    with pytest.raises(clunk.ClunkError, match="did you mean severity"):
+        runs.values("severty")
+
+
 @pytest.mark.parametrize(
     ("points", "sentence"),
     [

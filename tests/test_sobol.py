@@ -86,6 +86,13 @@ def test_an_additive_function_has_its_known_indices():
         assert np.all(interval[1] - interval[0] < 0.1)
 
 
+def test_a_single_parameter_has_all_of_the_variance():
+    point = study({"lash.backlash_deg": SPREAD["lash.backlash_deg"]}, count=64)
+    (indices,) = sensitivity(point, of=["severity"]).indices
+    (share,) = indices.indices.values()
+    assert (share.first, share.total) == pytest.approx((1.0, 1.0), abs=0.02)  # of 64 samples
+
+
 def test_a_product_s_interaction_is_in_the_total_indices_alone():
     """y = x1 x2 with means μ and variances v: Var(y) = v1 μ2² + v2 μ1² + v1 v2, the last one the interaction."""
     uniform = 'distribution = "uniform"\nlow = {}\nhigh = {}'
@@ -181,8 +188,9 @@ def test_the_restitution_model_has_an_approach_velocity():
                 "load.ratio=1.0",
             ),
             ["last_event_time"],
-            r"not defined in \d+ of 256 runs, in which nothing happens",
+            r"not defined in \d+ of 256 runs: nothing happens in them",
         ),
+        (study(DRIVING, 'solver.method="rk4"'), ["margin"], r"margin is not .*; only the exact method knows it"),
     ],
 )
 def test_what_has_no_indices_is_refused_in_a_sentence(point, of, message):

@@ -294,7 +294,7 @@ def _point(results: Results, columns: tuple[str, ...], measurement: Measurement)
     values = {axis.parameter: measured.get(axis.variable, math.nan) for axis in results.axes}
     try:
         cell = tuple(axis.nearest(measured.get(axis.variable, axis.values[0])) for axis in results.axes)
-    except ValueError:  # beyond an axis
+    except ClunkError:  # beyond an axis
         return Point(values, measurement.label, None, None)
     computed = str((*results.labels, FAILED)[results.sequence[cell]])  # the code of failed cells, -1, is the last
     return Point(values, measurement.label, computed, results.place(cell))

@@ -112,6 +112,7 @@ class Problem:
     shown : quantity that is told besides, if any
     progress : called with the number of runs so far, and the most that there can be
     size : that values of what is minimised are measured by, in its unit
+    as_it_is : candidate of the config's own values, which `before` has run
     """
 
     progress: Progress | None
@@ -127,8 +128,8 @@ class Problem:
         self._lash = lash
         free, minimize = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free]).T
-        self._key = next((k for k, each in enumerate(free) if minimize in each.keys), None)
-        is_of_runs = self._key is None and minimize != RELEASE_TIME
+        keys = [key for each in free for key in each.keys]
+        is_of_runs = minimize not in (*keys, RELEASE_TIME)
         self._numbers = [quantity_of(shown, study)] if shown else []
         with _errors_of("minimize, a free key, release_time or a quantity"):
             self._numbers += [quantity_of(minimize, study)] if is_of_runs else []
@@ -147,14 +148,12 @@ class Problem:
         self._drawn = drawn_numbers(study, self._tolerances)
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
-        keys = [key for each in free for key in each.keys]
         if swept := self._cells.keys() & keys:
             raise ClunkError(f"{min(swept)} is both free and swept: leave out its axis.")
         keys += [*self._cells, *(each.parameter for each in self._tolerances)]
         self._runner = Runner(self.study, [*dict.fromkeys(keys)], workers=workers)
-        values = [nominal_value(study, each.keys[0]) for each in free]
-        self.start = np.where(np.isnan(values), 0.5 * (self.low + self.high), values)
-        self.before = self(self.start[None])
+        self.as_it_is = np.full((1, self.low.size), np.nan)
+        self.before = self(self.as_it_is)
         self.size = abs(float(self.before.value[0])) or 1.0
 
     @property
@@ -164,7 +163,7 @@ class Problem:
         return _EXPLORED + candidates * math.prod(self.shape)
 
     def __call__(self, candidates: Floats) -> Outcomes:
-        """Run candidates, (n, parameters)."""
+        """Run candidates, (n, parameters); NaN stands for the config's own values."""
         shape = (len(candidates), *self.shape)
         columns = self._columns(candidates, shape)
         results = self._runner(self._runner.values(columns)).of_lash(self._lash)
@@ -190,8 +189,9 @@ class Problem:
         for quantity in self._numbers:
             numbers = worst(quantity.compared(results).astype(np.float64))
             quantities[quantity.name] = numbers.max(axis=1)
-        if self._key is not None:
-            numbers = np.tile(candidates[:, self._key, None], shape[2])
+        parameters = self.parameters(candidates)
+        if self.optimize.minimize in parameters:
+            numbers = np.tile(parameters[self.optimize.minimize][:, None], shape[2])
         elif self.optimize.minimize == RELEASE_TIME:
             numbers = worst(self._release_times(columns))
         value = np.sort(numbers, axis=1)[:, self._needed - 1]
@@ -202,10 +202,11 @@ class Problem:
         margin = np.abs(results.margin).reshape(len(candidates), -1).min(axis=1)
         return Outcomes(value, excess, share, margin, {self.optimize.minimize: value, **quantities})
 
-    def parameters(self, candidate: Floats) -> dict[str, float]:
-        """Values of the free keys by a candidate, (parameters,)."""
-        pairs = zip(self.optimize.parameters, candidate.tolist(), strict=True)
-        return {key: value for free, value in pairs for key in free.keys}
+    def parameters(self, candidates: Floats) -> dict[str, Floats]:
+        """Values of the free keys, (n,) each, by candidates, (n, parameters)."""
+        pairs = zip(self.optimize.parameters, candidates.T, strict=True)
+        own = {key: (column, nominal_value(self.study, key)) for free, column in pairs for key in free.keys}
+        return {key: np.where(np.isnan(column), value, column) for key, (column, value) in own.items()}
 
     def merit(self, outcomes: Outcomes) -> Floats:
         """What the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""
@@ -214,9 +215,7 @@ class Problem:
 
     def _columns(self, candidates: Floats, shape: tuple[int, ...]) -> dict[str, Floats]:
         """Values of all keys in the runs of candidates, for each its cells, and in each cell its draws."""
-        columns = {
-            key: candidates[:, k, None, None] for k, free in enumerate(self.optimize.parameters) for key in free.keys
-        }
+        columns = {key: values[:, None, None] for key, values in self.parameters(candidates).items()}
         columns |= {key: values[:, None] for key, values in self._cells.items()}
         columns = with_draws(self.study, columns, self._tolerances, self._drawn)
         return {key: np.broadcast_to(values, shape).ravel() for key, values in columns.items()}
@@ -306,15 +305,20 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
 
     quantity : a number, such as severity; options : as of `optimize`
 
-    Raises ClunkError where no values are found for which all conditions hold.
+    Raises ClunkError where no values are found for which all conditions hold, and KeyboardInterrupt with the Front so
+    far as its first argument, or as `optimize` does.
     """
     table, best = _table(study), optimize(study, shown=quantity, **options)
     if not best.holds:
         raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
     points = [best]
-    for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
-        bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
-        points.append(optimize(study.but(optimize=bounded), shown=quantity, **options))
+    try:
+        for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
+            bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
+            points.append(optimize(study.but(optimize=bounded), shown=quantity, **options))
+    except KeyboardInterrupt as stopped:
+        stopped.args = (Front(tuple(points)),)
+        raise
     return Front(tuple(each for each in points if each.holds))
 
 
@@ -354,10 +358,9 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
     outcomes = problem(np.array(found))
     merits = problem.merit(outcomes)
     k = int(np.argmin(merits))
-    parameters = problem.parameters(found[k])
+    parameters = {key: values.item() for key, values in problem.parameters(found[k][None]).items()}
     quantities = {name: values[k].item() for name, values in outcomes.quantities.items()}
-    before = {name: values.item() for name, values in problem.before.quantities.items()}
-    before |= problem.parameters(problem.start)
+    before = problem.before.quantities | problem.parameters(problem.as_it_is)
     return Optimum(
         study=replace_values(study, parameters),
         parameters=parameters,
@@ -369,6 +372,7 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
         runs=problem.runs,
         holds=bool(outcomes.excess[k] == 0.0 and np.isfinite(outcomes.value[k])),
         changes=tuple(
-            {"": name, "as it is": before[name], "best": best} for name, best in (parameters | quantities).items()
+            {"": name, "as it is": before[name].item(), "best": best}
+            for name, best in (parameters | quantities).items()
         ),
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from clunk.core.status import Status
 from clunk.results.maps import Results
-from clunk.results.quantities import TEXT, Quantity, measuring, quantity_of
+from clunk.results.quantities import TEXT, WHY_UNDEFINED, Quantity, measuring, quantity_of
 from clunk.study.arrays import Floats, Positions
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, ConfigError
@@ -230,7 +230,7 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
     Parameters
     ----------
     values : (n, d + 2) float64
-        The quantity at each of the rows of `saltelli_sample`; n a power of two, d at least 2, not all equal.
+        The quantity at each of the rows of `saltelli_sample`; n a power of two, not all equal.
     seed : int
         Of the bootstrap.
     """
@@ -238,8 +238,9 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
 
     def estimate(rows: Positions) -> Floats:
         f_a, f_b, *f_ab = values[rows].T[:, None, :]
-        estimates = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array(f_ab)}, n=rows.size)
-        return np.array([estimates.first_order, estimates.total_order])
+        # and one more parameter, which changes nothing: scipy has no indices of a single one
+        estimates = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array([*f_ab, f_a])}, n=rows.size)
+        return np.array([estimates.first_order, estimates.total_order])[:, :-1]
 
     n, generator = len(values), np.random.default_rng([seed, 1])  # not the stream that scrambled the points
     resampled = [estimate(generator.integers(n, size=n)) for _ in range(_RESAMPLES)]
@@ -270,10 +271,8 @@ def _indices(
     values = quantity.of_runs(runs)
     pages = values[:-1].reshape(shape)
     if undefined := np.count_nonzero(np.isnan(pages)):
-        raise ClunkError(
-            f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs, in which nothing happens; "
-            "ask for another quantity."
-        )
+        why = WHY_UNDEFINED.get(quantity.name, ": nothing happens in them; ask for another quantity")
+        raise ClunkError(f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs{why}.")
     base, shares = pages[:, :2], None
     if np.count_nonzero(base != np.median(base)) >= _RARE:
         first, total, of_first, of_total = first_and_total(pages, seed)

@@ -159,11 +159,11 @@ class Thresholds(Design):
 
         at : of each other axis, by the name of its variable, as in ``lash_backlash_deg=6.0``
 
-        Raises ValueError where an axis is not named, or something that is none; or a value lies beyond an axis.
+        Raises ClunkError where an axis is not named, or something that is none; or a value lies beyond an axis.
         """
         names = {axis.variable: axis for axis in self.axes}
         if set(names) != set(at):
-            raise ValueError(
+            raise ClunkError(
                 f"A cell is named by {listing([*names]) or 'nothing'}, not by {', '.join(at) or 'nothing'}."
             )
         places = tuple(axis.nearest(at[name]) for name, axis in names.items())

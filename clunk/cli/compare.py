@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("a", type=PATH)
 @click.argument("b", type=PATH)
-@output_option(help="Also draw where they differ: .png .svg .pdf.")
+@output_option(help="Also draw where they differ, of lashes the first: .png .svg .pdf.")
 @click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
 @json_option
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
@@ -57,7 +57,11 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
     if output is not None:
         from clunk.plot.analyses import difference_map, experiment_map
 
-        figure = experiment_map(results, comparison) if other is None else difference_map(results, comparison)
+        results = results.of_lash()
+        if other is None:
+            figure = experiment_map(results, comparison)
+        else:
+            figure = difference_map(results, compare_maps(results, other.of_lash()))
         terminal.save_picture(figure, output)
     if expect_equal and not comparison.same_regimes:
         sys.exit(EXIT_MISMATCH)

@@ -107,6 +107,7 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
     import numpy as np
 
     from clunk.study.document import assigned
+    from clunk.study.errors import ClunkError
     from clunk.study.parameters import numbered
 
     swept = {axis.parameter: axis for axis in axes}
@@ -117,7 +118,7 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
         try:
             axis, wanted = swept[key], float(text or "")
             nearest = float(axis.values[axis.nearest(wanted)])
-        except (KeyError, ValueError):
+        except (KeyError, ValueError, ClunkError):
             there = _spreads(axes) or "nothing"
             raise click.UsageError(f"--at {assignment}: must be KEY=VALUE of what is swept: {there}.") from None
         values[key] = nearest

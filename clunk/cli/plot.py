@@ -10,6 +10,7 @@ from clunk.cli import completion
 from clunk.cli.options import at_option, file_argument, nearest_values, output_option
 
 _NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
+_LONGEST = 40  # signs of a lash's name that are in a file's
 
 
 @click.command()
@@ -83,7 +84,10 @@ def plot(
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}
     if lash is None and results.lashes and LASH not in facets:
-        each = {"-" + re.sub(_NO_FILE, "_", name): results.at_lash(name) for name in results.lashes}
+        names = [re.sub(_NO_FILE, "_", name)[:_LONGEST] for name in results.lashes]
+        if len(set(names)) < len(names):
+            names = [str(number) for number in range(1, len(names) + 1)]
+        each = {f"-{name}": results.at_lash(lash) for name, lash in zip(names, results.lashes, strict=True)}
     for of_lash, part in each.items():
         thresholds = thresholds_of(part)
         names = [quantity] if quantity else plots.default_quantities(part, **look)

@@ -258,12 +258,15 @@ def _bears(system: System, regime: int, lash: int, room: Room) -> bool:
 
 @part
 def _is_smooth(series: FloatArray, share: float) -> bool:
-    """Whether a series tells all of its channel over a share of the shortest step."""
-    reach, term, power = 0.0, 0.0, 1.0
+    """Whether a series tells all of its channel over a share of the shortest step, by its last term of either parity.
+
+    From rest every other term of an undamped motion is zero.
+    """
+    reach, before, term, power = 0.0, 0.0, 0.0, 1.0
     for k in range(TERMS):
-        term = abs(series[k]) * power
+        before, term = term, abs(series[k]) * power
         reach, power = reach + term, power * share
-    return term <= _SMOOTH * reach
+    return max(before, term) <= _SMOOTH * reach
 
 
 @part

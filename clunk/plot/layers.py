@@ -15,7 +15,7 @@ from clunk.plot.style import FAILED_FILL, UNDEFINED, PlotError, colour_of, group
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import CERTAIN, AnyMap, ToleranceMap
-from clunk.results.quantities import LABEL, TEXT, YES_NO, Quantity, quantity_of
+from clunk.results.quantities import LABEL, TEXT, WHY_UNDEFINED, YES_NO, Quantity, quantity_of
 from clunk.study.arrays import Array, Bools, Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
@@ -25,11 +25,6 @@ MOST_LABELS = 16  # that are told apart: more are grouped by their number of dou
 _SEEN = 5e-6  # of a map's area, some pixels: a smaller region has no name, a smaller island no line
 _MOST_STEPS = 40_000  # of lines between cells: more would be a veil
 _FADES = (0.5, CERTAIN), (0.8, 0.3)  # certainty of a label, and how far its colour is taken towards white
-_WHY_UNDEFINED = {
-    "severity": "; under the restitution model accelerations are impulsive, and approach_velocity is the measure to "
-    "plot",
-    "margin": "; only the exact method knows it (solver.method)",
-}
 
 
 class Measured(NamedTuple):
@@ -108,7 +103,7 @@ class Layers:
         is_label = described.type == TEXT
         values = np.zeros(0) if is_label else view.arrange(described.of_runs(drawn))
         if not is_label and np.isnan(values).all():
-            why = _WHY_UNDEFINED.get(described.name, "")
+            why = WHY_UNDEFINED.get(described.name, "")
             raise PlotError(f"There is no {described.name} to draw: it is not defined in any cell{why}.")
         codes = view.arrange(drawn.sequence)
         undecided, draws = np.zeros(codes.shape, bool), ""

@@ -107,7 +107,9 @@ def default_quantities(
     Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Of a
     tolerance map how probable double-sided impacts are, too.
     """
-    names = ["regimes", *["double_sided"] * isinstance(drawn, ToleranceMap), hardness(drawn)]
+    numbers = [*["double_sided"] * isinstance(drawn, ToleranceMap), hardness(drawn)]
+    known = [name for name in numbers if np.isfinite(quantity_of(name, drawn).of_runs(drawn)).any()]
+    names = ["regimes", *known]  # these alone where all cells have failed
     return list(dict.fromkeys(names)) if facets or len(View.of(drawn, x, y).axes) > 1 else names[-1:]
 
 
@@ -285,6 +287,7 @@ def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
                 label = f"measured, {gid}"
                 label += f": {len(places)} of {len(layers.points)}" if is_single and agrees else ""
                 look: Look = marker | {"linestyle": "none", "markeredgecolor": "white", "clip_on": False, "zorder": 6}
+                look["in_layout"] = False  # of no points it would be at the figure's corner
                 ax.plot(*np.reshape(places, (-1, 2)).T, gid=gid, label=label, **look)
         is_crowded = write_beside(raster, layers.points, size, 0.5 * _POINT + 1.5)
         unnamed = write_names(raster, layers.names, sizes)

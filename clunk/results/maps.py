@@ -26,15 +26,16 @@ from clunk.results.quantities import (
     Quantity,
     measured_quantities,
     named_numbers,
-    no_quantity,
+    quantity_of,
 )
 from clunk.study.arrays import Array, Counts, Floats, Integers
 from clunk.study.axes import LASH, ResultAxis
 from clunk.study.designs import Design
 from clunk.study.document import value_at
+from clunk.study.errors import ClunkError
 from clunk.study.models import lash_name, lash_position
 from clunk.study.parameters import numbered
-from clunk.study.records import Rows, as_text, counted
+from clunk.study.records import Rows, as_text, counted, percent
 
 
 @lru_cache(maxsize=4)
@@ -128,13 +129,12 @@ class Map(Design, ABC):
         """Entries of the dimensions behind the axes: of ``impact`` numbers, of ``label`` the labels and so on."""
 
     def values(self, name: str) -> Array:
-        """Values of one of the quantities, in cells; those of impacts in a flat array.
+        """Values of a quantity, in cells; those of impacts in a flat array.
 
         Raises ClunkError where the map has none of this name.
         """
-        if name not in self.arrays:
-            raise no_quantity(name, self.arrays)
-        return self.arrays[name]
+        this: Any = self  # either kind
+        return self.arrays[name] if name in self.arrays else quantity_of(name, this).of_runs(this)
 
     def plot_label(self, quantity: Quantity) -> str:
         """Name of a quantity of cells, with symbol and unit, beside an axis or a colour bar.
@@ -155,13 +155,13 @@ class Map(Design, ABC):
         Those axes stay, with one value; of `run` a run's number, and its coordinates stay with theirs. Labels and codes
         are those of the whole.
 
-        Raises ValueError where a name is not an axis, or a value lies beyond it.
+        Raises ClunkError where a name is not an axis, or a value lies beyond it.
         """
         names = [axis.parameter for axis in self.axes]
         index = [slice(None)] * len(names)
         for parameter, value in zip(numbered(values, self.tables), values.values(), strict=True):
             if parameter not in names:
-                raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
+                raise ClunkError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}.")
             k = names.index(parameter)
             position = self.axes[k].nearest(value)
             index[k] = slice(position, position + 1)
@@ -343,7 +343,7 @@ class Results(Map):
         """
         names = [axis.parameter for axis in self.axes]
         if set(numbered(values, self.tables)) != set(names):
-            raise ValueError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
+            raise ClunkError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
         part = self.at(values)
         cell: dict[str, Any] = {axis.parameter: axis.values.item() for axis in (*part.axes, *part.coordinates)}
         cell["label"] = part.label_map.item()
@@ -466,8 +466,8 @@ class ToleranceMap(Map):
         cells = self.of_lash().runs[..., FAILED_CODE]  # all lashes of a run fail together
         if not cells.any():
             return []
-        affected, most = counted(int(np.count_nonzero(cells)), "cell"), 100.0 * cells.max() / self.draws
-        return [f"failed: up to {most:.2g} % of the runs in {affected}; probabilities are of the others"]
+        affected, most = counted(int(np.count_nonzero(cells)), "cell"), percent(cells.max(), self.draws)
+        return [f"failed: up to {most} of the runs in {affected}; probabilities are of the others"]
 
     @property
     def failed(self) -> int:

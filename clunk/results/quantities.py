@@ -64,6 +64,10 @@ _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     "=": (operator.eq, "is"),
 }
 _UNDEFINED = {"severity": "approach_velocity", "peak_torque": "impulse"}  # of impulsive touches, and what is
+WHY_UNDEFINED = {  # in cells, of a map that may be of any model
+    "severity": "; under the restitution model accelerations are impulsive, and approach_velocity is the measure",
+    "margin": "; only the exact method knows it (solver.method)",
+}
 _REQUEST = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL)
 
 _UNIT_SYMBOLS = {"1": "", "rad s-1": "rad/s", "rad s-2": "rad/s²"}

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from clunk.study.arrays import Floats
+from clunk.study.errors import ClunkError
 
 RUN = "run"  # the dimension of what is walked or drawn together
 LASH = "lash"  # the last dimension of results of several lashes
@@ -65,10 +66,10 @@ class ResultAxis:
         return replace(self, values=self.values[places], words=self.words[places], along=along)
 
     def nearest(self, value: float) -> int:
-        """Index of the value nearest to this one; of two as near, the first. Raises ValueError beyond the axis."""
+        """Index of the value nearest to this one; of two as near, the first. Raises ClunkError beyond the axis."""
         lowest, highest = self.values.min(), self.values.max()
         if not lowest <= value <= highest:  # also where it is not a number
-            raise ValueError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
+            raise ClunkError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
         return int(np.argmin(np.abs(self.values - value)))
 
     @cached_property

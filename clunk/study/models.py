@@ -111,6 +111,8 @@ class Shaft(Table):
         if len(stages) != len(breakpoints) + 1:
             text = f"found {len(stages)} stiffnesses and {len(breakpoints)} breakpoints"
             yield ("stiffness",), f"{text}; there is one stiffness more than there are breakpoints_deg"
+        if breakpoints and not any(stages):
+            yield ("stiffness",), "found 0 in all stages; without a spring there are none: leave out breakpoints_deg"
         for k, (one, following) in enumerate(pairwise(breakpoints)):
             if following <= one:
                 text = f"found {following:g} after {one:g}; breakpoints must be in ascending order"

@@ -222,16 +222,17 @@ def _undrawable(
     _, key, value = located(config, parameter)
     if key.whole:
         return f"{parameter} is an inertia's number, which cannot be drawn"
-    if isinstance(entry, FreeParameter):
-        return None
-    if is_swept and table[1] == "samples":
-        return f"{parameter} is swept already"
-    if is_swept and table[1] == "tolerances":
-        around = 'its tolerance must be around the swept value; set draws = "factor" or "offset"'
-        return f"{parameter} is swept: {around}" if entry.draws == "value" else None
-    needs_nominal = entry.draws != "value" or any(map(math.isnan, entry.numbers(math.nan).values()))
-    if math.isnan(value) and needs_nominal:
-        return f"{parameter} has no value in this config that its distribution could be around"
+    needs_value = True  # of the run as it is
+    if not isinstance(entry, FreeParameter):
+        if is_swept and table[1] == "samples":
+            return f"{parameter} is swept already"
+        if is_swept and table[1] == "tolerances":
+            around = 'its tolerance must be around the swept value; set draws = "factor" or "offset"'
+            return f"{parameter} is swept: {around}" if entry.draws == "value" else None
+        is_around = entry.draws != "value" or any(map(math.isnan, entry.numbers(math.nan).values()))
+        needs_value = is_around or table[1] != "samples"
+    if needs_value and math.isnan(value):
+        return f"{parameter} needs a value in this config, for the run as it is or for values around it"
     return None
 
 

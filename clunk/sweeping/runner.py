@@ -40,7 +40,7 @@ class Runner:
     Raises
     ------
     ConfigError
-        Where the study has no such key, or one is given twice.
+        Where the study has no such key, or one is given twice, or none.
 
     Examples
     --------
@@ -58,6 +58,8 @@ class Runner:
     ) -> None:
         self.study = study.but(**dict.fromkeys(NOT_OF_A_RUN))
         self.keys = distinct(study, keys)
+        if not self.keys:
+            raise ConfigError("A Runner needs a key or more, in which its runs differ.")
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
         self._engine, self._workers = engine, workers
         self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were looked at

@@ -121,7 +121,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int], spans: int
     scaled = [*map(_scale, chains)]
     modes = [*map(_modes, scaled)]
     wave = states - chains[0].shift.shape[-2]
-    size = whole(max(states, *(wave + _ends(each.slots) for each in modes if each is not None)))
+    size = whole(max([states, *(wave + _ends(each.slots) for each in modes if each is not None)]))
     blocks = size // ROW
     shapes = (
         (4, driven, size),
