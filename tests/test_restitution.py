@@ -11,6 +11,7 @@ from helpers.reference import Plant
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.simulation import driveline
 from clunk.simulation.energy import balance
+from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
@@ -128,6 +129,42 @@ def test_an_elastic_impact_keeps_the_energy_and_the_run_ends_by_itself():
         after = run.states[k, 4:]
         before = after + 2.0 * run.events["speed"][k] * (lash / inertias) / np.sum(lash**2 / inertias)
         assert np.sum(inertias * before**2) == pytest.approx(np.sum(inertias * after**2), rel=1e-13)
+
+
+CRITICAL = """
+driveline = {{inertias = [1.0, 2.0], shafts = [
+    {{between = [1, "ground"], stiffness = 100.0, damping = 20.0}},
+    {{between = [2, "ground"], stiffness = 200.0, damping = 40.0}},
+]}}
+lash = {{between = [1, 2], backlash_deg = 1.0, radius = 0.05, contact = {{model = "restitution", restitution = 0.5}}}}
+load = {{initial_torque = 50.0, final_torque = -20.0}}
+solver = {{method = "{}", end_time = 2.0, step = 1e-5}}
+"""
+
+
+def test_a_driveline_runs_that_has_no_modes_in_any_regime():
+    """Both parts and the whole are damped critically: the angles are t e^(-10 t), no two exponentials."""
+    exact, rk4 = (simulate(study_from_text(CRITICAL.format(method))) for method in ("exact", "rk4"))
+    assert exact.touches > 4
+    assert exact.events["kind"].tolist() == rk4.events["kind"].tolist()
+    assert exact.events["time"] == pytest.approx(rk4.events["time"], abs=1e-9)
+
+
+LIGHT_END = """
+driveline = {{inertias = [0.02, 0.02, {}], shafts = [{{between = [2, 3], stiffness = 100.0, damping = 0.5}}]}}
+lash = {{between = [1, 2], backlash_deg = 3.0, radius = 0.05, contact = {{model = "restitution"}}}}
+load = {{initial_torque = 5.0, final_torque = -1.0}}
+solver = {{method = "exact", end_time = 0.2}}
+"""
+
+
+def test_a_light_end_behind_a_damper_changes_what_it_weighs():
+    """Its own decay, of 5e9 /s at last, leaves modes that are as far apart as before, and the energy closes."""
+    runs = [simulate(study_from_text(LIGHT_END.format(inertia))) for inertia in (1e-6, 1e-8, 1e-10)]
+    assert len({run.label for run in runs}) == 1
+    heavy, light, lightest = (run.events["time"] for run in runs)
+    assert heavy - lightest == pytest.approx(100.0 * (light - lightest), rel=0.05, abs=1e-10)
+    assert max(balance(run).relative_residual for run in runs) < 1e-12
 
 
 def test_a_faster_locking_speed_locks_earlier():

@@ -55,7 +55,7 @@ SELF, CROSS = range(2)  # of a 2 x 2 block: what multiplies a coordinate itself,
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _CONVERGED = 1e-14  # the last step to an eigenvalue, of its size
 _MOST_STEPS = 10  # to it
-_MAX_CONDITION = 4e4  # of an eigenbasis in energy coordinates, by Frobenius norms: beyond it, four digits are lost
+_MAX_CONDITION = 4e4  # of unit eigenvectors in energy coordinates, by Frobenius norms: beyond it, four digits are lost
 _TINY = 1e-300  # instead of zero, as a divisor
 _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
@@ -397,7 +397,9 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         if count > 1:
             raise UnlikeError([np.array([k]) for k in range(count)]) from None
         return None
-    condition = np.linalg.norm(basis, axis=(-2, -1)) * np.linalg.norm(inverse, axis=(-2, -1))
+    sizes = np.linalg.norm(basis, axis=-2)  # of columns, with which nothing is lost
+    parts = basis / sizes[:, None], inverse * sizes[..., None]
+    condition = math.prod(np.linalg.norm(part, axis=(-2, -1)) for part in parts)
     if not alike(condition <= _MAX_CONDITION, 0):
         return None
     return _Modes(basis, inverse @ (2.0 * np.eye(size) - basis @ inverse), block, slots)
