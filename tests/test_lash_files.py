@@ -13,6 +13,7 @@ from scipy.io import loadmat
 from test_store import padded
 
 import clunk
+from clunk.analysis import lines
 from clunk.results import export
 from clunk.results.export import save_history
 from clunk.results.quantities import REGIME_QUANTITIES
@@ -169,7 +170,8 @@ def test_thresholds_are_those_of_the_lash_that_is_named(lash):
         assert ["DS" in each.lashes[k].label for each in run.values()] == [False, True]
 
 
-def test_boundaries_of_a_lash_stay_with_it(tmp_path):
+def test_boundaries_of_a_lash_stay_with_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(lines, "_ON_ANY_MAP", 100_000)  # a few hundred runs
     results = clunk.sweep(rig(9, 5), boundaries=True, lash="joint")
     assert results.boundaries.lash == "joint"
     clunk.write_results(tmp_path / "traced.h5", results)
