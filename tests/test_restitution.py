@@ -11,7 +11,6 @@ from helpers.reference import Plant
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.simulation import driveline
 from clunk.simulation.energy import balance
-from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
