@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -62,6 +63,14 @@ def test_a_kernel_whose_cache_is_damaged_is_compiled_anew(tmp_path, monkeypatch,
     assert sum(again.stats.cache_hits.values()) == 0
     assert last(1.5) == 3.0
     assert sum(last.stats.cache_hits.values()) == 1
+
+
+def test_every_installation_has_kernels_of_its_own(tmp_path, monkeypatch):
+    """So that one whose kernels are yet to be compiled says so, though those of the same code elsewhere are there."""
+    here = jit._digest()
+    shutil.copytree(ROOT / "clunk/core", tmp_path / "core")
+    monkeypatch.setattr(jit, "__file__", str(tmp_path / "core/jit.py"))
+    assert jit._digest() != here
 
 
 def test_kernels_that_nothing_has_used_for_long_are_removed(tmp_path, monkeypatch):

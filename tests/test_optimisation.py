@@ -121,6 +121,29 @@ def test_an_interrupted_search_hands_over_the_best_so_far(brief, monkeypatch):
     assert best.runs < optimize(study).runs
 
 
+def test_interrupted_in_its_first_start_a_search_hands_over_the_best_that_was_explored(brief):
+    interrupted = []
+
+    def interrupt(done, _most):
+        if done > 4_500 and not interrupted:  # 4,096 runs explore
+            interrupted.append(done)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        optimize(damped_ramp(), progress=interrupt)
+    best = caught.value.args[0]
+    assert best.holds
+    assert best.found == 0
+
+
+def test_a_search_takes_no_more_runs_than_it_says(brief, monkeypatch):
+    monkeypatch.setattr(optimisation, "_GENERATIONS", 2)
+    said = []
+    best = optimize(damped_ramp(), progress=lambda done, most: said.append((done, most)))
+    assert best.runs == max(done for done, _ in said)
+    assert {most for _, most in said} == {best.runs}  # no start is done after two generations
+
+
 def test_conditions_that_nothing_meets_are_said_and_the_nearest_is_given(brief):
     best = optimize(damped_ramp(subject_to=["label=DS(3)SS(2)"]))
     assert not best.holds

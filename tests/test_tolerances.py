@@ -108,6 +108,14 @@ class TestCells:
         assert sum(found.shares().values()) == pytest.approx(1.0, abs=1e-12)
         assert sum(found.counts().values()) == 147
 
+    def test_what_is_compared_has_the_probability_of_its_labels_or_is_refused(self, found):
+        np.testing.assert_allclose(found.values("double_sided=0"), 1.0 - found.values("double_sided"), rtol=1e-12)
+        of_label = found.probability[..., found.labels.index("SS(1)")]
+        assert np.array_equal(found.values("label=SS(1)"), of_label)
+        for compared in ("severity<=8000", "severity_95<=8000"):
+            with pytest.raises(ClunkError, match=f"no {compared}: it keeps"):
+                found.values(compared)
+
     def test_a_cell_is_a_plain_loop_of_single_runs(self, found, toleranced):
         """At 20 cells, half of them the least certain ones: the same counts, mean and quantiles to the last bit."""
         order = np.argsort(found.certainty, axis=None, kind="stable")

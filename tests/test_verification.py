@@ -79,7 +79,7 @@ def test_verify_prints_what_compare_does_within_80_columns_for_maps_and_single_r
 def test_verify_exits_4_and_names_the_cells_where_labels_differ_also_in_json(verify_command):
     code, out, err = verify_command(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE)
     assert code == 4
-    assert "weak rebounds are lost" in err
+    assert "rebounds are lost and labels wrong" in err
     cells = out[out.index("\ncells with two labels\n") :].split("\n\n")[0]
     assert [line.split() for line in cells.splitlines()[3:]] == [
         ["9", "15", "DS(1)SS(2)", "DS(1)SS(1)", "no"],

@@ -112,7 +112,7 @@ class Fitted(Record):
     log_density: Floats
     weights: Floats
     failed: int
-    candidates: int = told("candidates")
+    candidates: int = told("candidates and draws")
 
     @property
     @tells()

@@ -9,7 +9,7 @@ It ends by construction: generations and starts are counted beforehand.
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -157,10 +157,15 @@ class Problem:
         self.size = abs(float(self.before.value[0])) or 1.0
 
     @property
+    def explored(self) -> int:
+        """The logarithm to base 2 of the number of points that fill the space of the free numbers."""
+        return math.ceil(math.log2(max(_EXPLORED // math.prod(self.shape), 2 * _POPULATION * self.low.size)))
+
+    @property
     def most(self) -> int:
         """The most runs that a search takes."""
-        candidates = _STARTS * self.low.size * _POPULATION * (_GENERATIONS + 1)
-        return _EXPLORED + candidates * math.prod(self.shape)
+        of_starts = _STARTS * (self.low.size * _POPULATION * (_GENERATIONS + 1) + 1)
+        return (1 + (1 << self.explored) + of_starts) * math.prod(self.shape)
 
     def __call__(self, candidates: Floats) -> Outcomes:
         """Run candidates, (n, parameters); NaN stands for the config's own values."""
@@ -274,7 +279,7 @@ def optimize(
     ClunkError
         Where there is nothing to optimise.
     KeyboardInterrupt
-        With the best so far as its first argument, an Optimum, if a start has ended.
+        With the best so far as its first argument, an Optimum, once the space of the free numbers has been explored.
 
     Examples
     --------
@@ -283,7 +288,7 @@ def optimize(
     >>> best.value < 0.1275  # s
     True
     """
-    problem, found = Problem(study, lash, workers, shown), []
+    problem, explored, found = Problem(study, lash, workers, shown), [], []
     with reporting(progress, problem.most, problem.study, what="runs at most") as problem.progress:
         try:
             points = _explored(problem)
@@ -291,11 +296,13 @@ def optimize(
             if not math.isfinite(problem.size):  # the config as it is fails
                 problem.size = float(np.median(np.abs(np.nan_to_num(outcomes.value, posinf=1.0)))) or 1.0
             merits = problem.merit(outcomes)
+            explored.append(points[merits.argmin()])
             for start in range(_STARTS):
                 found.append(_searched(problem, points, merits, np.random.default_rng([problem.optimize.seed, start])))
         except KeyboardInterrupt as stopped:
-            if found:
-                stopped.args = (_optimum(problem, study, found), *stopped.args)
+            if explored:
+                best = _optimum(problem, study, found or explored)
+                stopped.args = (best if found else replace(best, found=0), *stopped.args)
             raise
     return _optimum(problem, study, found)
 
@@ -326,10 +333,8 @@ def _explored(problem: Problem) -> Floats:
     """Points that fill the space of the free numbers, (n, parameters)."""
     from scipy.stats import qmc
 
-    free = problem.low.size
-    count = max(_EXPLORED // math.prod(problem.shape), 2 * _POPULATION * free)
-    design = qmc.Sobol(free, seed=np.random.default_rng(problem.optimize.seed))
-    return qmc.scale(design.random_base2(math.ceil(math.log2(count))), problem.low, problem.high)
+    design = qmc.Sobol(problem.low.size, seed=np.random.default_rng(problem.optimize.seed))
+    return qmc.scale(design.random_base2(problem.explored), problem.low, problem.high)
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:

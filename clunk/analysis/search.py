@@ -240,7 +240,7 @@ class PointRuns:
 
     @property
     def cost(self) -> int:
-        """How long a run takes, beside those of other studies: 23 without frictions, stages or other lashes."""
+        """How long a run takes, beside those of other studies: 23 of one lash by gap, without friction or stages."""
         study = self.runner.study
         steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
         return max(round(steps / _STEPS), 20 + count_of_regimes(study))

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
     """Compare a results file with another, or with measurements.
 
-    Cell by cell: A is a results file, B one of the same grid, a CSV file of measured labels, or table_4_1, the report's
-    experiment. Measurements are those of the first lash.
+    Cell by cell, of several lashes each of them: A is a results file, B one of the same grid, a CSV file of measured
+    labels, or table_4_1, the report's experiment. Measurements are those of the first lash.
 
     \b
     Examples:
@@ -74,7 +74,8 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
 def verify(study: Study, workers: int | None, as_json: bool, **_: Any) -> None:
     """Run a config by both methods and compare the results.
 
-    The methods are rk4 (A) and exact (B), and what is printed is what clunk compare prints of their maps. Exact is
+    The methods are rk4 (A) and exact (B), and what is printed is what clunk compare prints of their maps, in which each
+    lash of a cell counts as one. Exact is
     guarded: it cannot skip an event, to rounding, for this model. Where labels differ in a cell that it does not flag
     (undecided or grazing), the exit code is 4, and a smaller solver.step may mend it. A config without axes is a map
     of one cell.

@@ -50,7 +50,7 @@ def is_cold(method: str) -> bool:
 def _digest() -> str:
     core = Path(__file__).parent
     sources = sorted(core.rglob("*.py"))
-    joined = b"\0".join(str(source.relative_to(core)).encode() + b"\0" + source.read_bytes() for source in sources)
+    joined = b"\0".join(str(source).encode() + b"\0" + source.read_bytes() for source in sources)
     return hashlib.sha256(joined).hexdigest()[:16]
 
 

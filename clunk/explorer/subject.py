@@ -1,6 +1,7 @@
 """Subject of the explorer: results and their study, the axes of the map, and maps and runs with other numbers."""
 
 import os
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -22,7 +23,7 @@ from clunk.study.sweeps import Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
-_MOST_RUNS = 80_000  # along the boundaries of a map, a second or so
+_LONGEST = 5.0  # s, of tracing the boundaries of a map
 _COARSE = 31  # values of an axis, of the map that is shown first
 
 Numbers = Mapping[str, float]  # dotted key -> value, in its unit
@@ -102,11 +103,12 @@ class Subject:
         full = full.at(slices) if self._has_runs else full
         yield full
         if len(full.of_lash(lash).axes) == 2 and study.solver.method == "exact":
+            began = time.monotonic()
 
             def count(runs: int, total: int) -> None:
                 progress(runs, total)
-                if runs > _MOST_RUNS:
-                    raise ClunkError("The boundaries of this map take too many runs to follow a slider.")
+                if time.monotonic() - began > _LONGEST:
+                    raise ClunkError("The boundaries of this map take too long to follow a slider.")
 
             with suppress(ClunkError):
                 yield with_boundaries(study, full, lash=lash if full.lashes else None, progress=count)

@@ -178,6 +178,9 @@ class Quantity:
             return float(f"{_SIDED[self.name]}(" in label)
         if self.name == NOMINAL or (self.base is not None and self.base.type == TEXT):
             return float(label == self.bound)
+        if self.base is not None:
+            value = self.base.of_label(label)
+            return None if value is None else float(_RELATIONS[self.relation][0](value, self.bound))
         count = {"double_sided_impacts": double_sided, "primary_impacts": primary_impacts}.get(self.name)
         return None if count is None else float(count(label))
 
@@ -243,12 +246,12 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
 
     Raises ClunkError where there is none, or it is not defined for the study's contact model.
     """
-    known = quantities_of(source)
+    known, is_drawn = quantities_of(source), not isinstance(source, Study) and len(source.sample) > 0
     text = _SHORT.get(text.strip().upper(), text)
     words = _REQUEST.fullmatch(text)
     name, relation, bound = words.groups("") if words else (text, "", "")
     if name not in known:
-        raise no_quantity(text, [*known, "severity<=8000", "label=DS(1)SS(1)"], name)
+        raise no_quantity(text, [*known, *["severity<=8000"] * (not is_drawn), "label=DS(1)SS(1)"], name)
     if name in _UNDEFINED and isinstance(source, Study) and source.has_rigid_flanks:
         raise ClunkError(f"{name} is not defined for the restitution model; {_UNDEFINED[name]} is.")
     quantity = known[name]
@@ -261,17 +264,15 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
             "is one such as label=DS(1)SS(1)."
         )
     told = value if isinstance(value, str) else f"{value:.15g}"
+    compared = replace(OF_RUNS[CHATTER], name=f"{name}{relation}{told}", base=quantity, relation=relation, bound=value)
+    if is_drawn and compared.of_label("NI") is None:
+        raise ClunkError(
+            f"A tolerance map has no {compared.name}: it keeps what its draws have in the mean and their quantiles, "
+            "not in how many of them a number is within a bound."
+        )
     meaning = f"{quantity.heading} {_RELATIONS[relation][1]} {told} {quantity.unit_symbol}".rstrip()
     meaning = f"the {meaning}" if quantity.type == TEXT else meaning
-    return replace(
-        OF_RUNS[CHATTER],
-        name=f"{name}{relation}{told}",
-        words=meaning,
-        long_name=f"whether {meaning}",
-        base=quantity,
-        relation=relation,
-        bound=value,
-    )
+    return replace(compared, words=meaning, long_name=f"whether {meaning}")
 
 
 def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | None:

@@ -63,7 +63,7 @@ class SmallGap(NamedTuple):
         driveline, system = Driveline.from_study(study), build(study)
         if len(study.lashes) > 1 or driveline.staged or driveline.frictions:
             raise ClunkError(
-                "There is a response to draw of one lash in a linear driveline, without stages and friction."
+                "A small-gap response is drawn of one lash in a linear driveline only, without stages and friction."
             )
         modes = driveline.modes(closed=True)
         if system.status != Status.OK:

@@ -30,6 +30,7 @@ _TAKEN = {
     *("regimes", "label", "double_sided", "single_sided", "opposite_sided", "crossed", "chatter", "nominal_label"),
     *("double_sided_impacts", "run", "impact", "lash"),
 }
+_OF_BOUNDARIES = "boundary", "junction", "region", "ring", "unresolved"  # with these begin those of traced lines
 # Tables of what is swept, drawn, fitted and free, with how they are told
 VARIED: tuple[tuple[tuple[str, str], str], ...] = (
     (("sweep", "axes"), "swept by"),
@@ -173,8 +174,11 @@ def _measured(config: Config) -> Iterator[Finding]:
         place = ("measures", k)
         if measure.name in names[:k]:
             yield (*place, "name"), f"measure {names.index(measure.name) + 1} has the name {shorten(measure.name)} too"
-        if measure.name in taken or measure.name.startswith(("boundary", "junction", "region", "ring")):
+        if measure.name in taken:
             yield (*place, "name"), f"results files have another variable {shorten(measure.name)}; choose another name"
+        if measure.name.startswith(_OF_BOUNDARIES):
+            text = f"found {shorten(measure.name)}; {listing(_OF_BOUNDARIES)} begin names of traced boundaries"
+            yield (*place, "name"), text
         try:
             part = part_of(measure, config)
         except ValueError as error:
