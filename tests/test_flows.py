@@ -4,6 +4,7 @@ Every case is a driveline with its open and its closed side. Each lane has a sta
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from helpers.starts import started
 from numpy.polynomial.polynomial import polyval
 from scipy.linalg import expm
 
+import clunk
 from clunk.core.exact import curves, moving, taylor
 from clunk.core.exact.flows import CROSS, PAIRS, SPANS, TERMS
 from clunk.core.jit import compiled
@@ -19,10 +21,22 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.tables import ACCELERATION, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
+from clunk.simulation.batches import of_system, prepare_one
 
 # Rounding of a few products of tables that are each good to some 1e-15, and a modal basis to its condition (up to 1e4).
 TIGHT = 1e-11
 OPEN, CLOSED = 0, 1
+CONFIGS = Path(__file__).parent.parent / "configs"
+BRAKED = """
+driveline = {inertias = [0.024, 0.002, 0.002, 0.002], shafts = [
+    {between = [1, 2], stiffness = 31.3, damping = 0.08},
+    {between = [2, 3], stiffness = 31.3, damping = 0.04},
+    {between = [4, "ground"], damping = 0.1},
+]}
+lash = {between = [3, 4], backlash_deg = 6.0, radius = 0.08, contact = {stiffness = 4.092e5, damping = 94.0}}
+load = {initial_torque = -6.0, final_torque = 1.0}
+solver = {method = "exact", end_time = 2.0}
+"""
 
 
 @compiled
@@ -65,6 +79,22 @@ def test_a_decay_much_faster_than_what_lasts_is_alone_in_its_pair():
     slower, faster = rates.min(axis=1), rates.max(axis=1)
     assert (faster[slower > 0.0] < 1e3 * slower[slower > 0.0]).all()
     assert faster.max() > 1e3 * slower[slower > 0.0].min()
+
+
+def test_spans_reach_the_end_of_a_run_however_fast_a_part_is_braked():
+    study = clunk.load_study(CONFIGS / "nominal.toml", ["driveline.shafts[4].damping=1e8", 'solver.method="exact"'])
+    assert (prepare_one(of_system(study)).tables.span[..., -1] > study.solver.end_time).all()
+
+
+def test_a_part_that_only_a_bearing_brakes_stands_still_at_last():
+    """Its displacement, which lasts, is not bounded by the rate of its speed, of up to 5e8 /s."""
+    study = clunk.study_from_text(BRAKED)
+    events = [
+        clunk.simulate(clunk.replace_values(study, {"driveline.shafts[3].damping": c})).events for c in (1e5, 1e6, 1e7)
+    ]
+    one, other, last = (each["time"][:20] for each in events)
+    assert last == pytest.approx(other, abs=1e-6)
+    assert np.abs(one - last).max() == pytest.approx(11.0 * np.abs(other - last).max(), rel=0.05)
 
 
 def sizes(y):

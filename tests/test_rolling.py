@@ -11,7 +11,7 @@ from helpers.starts import started
 
 from clunk.api import run_points
 from clunk.core.status import Status
-from clunk.simulation.driveline import Driveline, build
+from clunk.simulation.driveline import Driveline, build, prepare
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.phases import preload
@@ -158,6 +158,14 @@ def test_a_truck_that_rolls_fast_has_the_events_of_the_reference(drag):
     run, (events, _) = simulate(study_of(plant, end_time=2.0)), reference.run(plant, 2.0)
     assert [run.kind_name(k) for k in range(len(run.events))] == [event.kind for event in events]
     assert run.events["time"] == pytest.approx([event.time for event in events], abs=1e-10)
+
+
+def test_a_truck_has_modes_whatever_a_tyre_damps():
+    """From hardly damped to overdamped; at 557 N m s/rad Newton's method found one mode and then its conjugate."""
+    first, last = TRUCK.shafts[:5], TRUCK.shafts[6:]
+    for damping in (557.0, *np.geomspace(10.0, 4e3, 40)):
+        _, flows = prepare(study_of(replace(TRUCK, shafts=(*first, (6, 8, 1e5, float(damping)), *last))))
+        assert flows.modal.all(), damping
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -12,13 +12,13 @@ import numpy as np
 from clunk.core import tables
 from clunk.core.arrays import ComplexArray, FloatArray
 from clunk.core.batches import alike
-from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
+from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked, product
 from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, driveline_at, rolling_apart
 from clunk.core.status import Status
 from clunk.core.tables import Friction, StagedShaft
 from clunk.simulation import rigid
-from clunk.simulation.load import run_load, wave_rates
+from clunk.simulation.load import WAVES, run_load, wave_rates
 from clunk.simulation.phases import preload
 from clunk.study.arrays import Bools
 from clunk.study.document import Place
@@ -28,7 +28,6 @@ from clunk.study.study import Study
 
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
-_FAST = 1e6  # rate of a load's wave by the end time: it is over, or turns, long before a run ends
 _ROUNDING = 1e-14  # of the terms of a sum that cancel
 _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
@@ -322,11 +321,9 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
         ties = constrained(twists, [*(system.impulsive * lash for lash in closed), *stuck])
         chains.append(_chain(np.atleast_2d(driveline.inertia), *of_flow, ties, parts))
     held = held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
-    rates, spans = wave_rates(study.load, driveline.varied), SPANS
-    if rates is not None and alike(np.abs(rates).max(axis=(-2, -1)) * system.end_time[..., 0] > _FAST, 0):
-        spans = MORE_SPANS
     system = system if driveline.varied else driveline_at(system, None)
-    states = slice(system.rates.shape[-1] if rates is not None else 2 * system.inertias)  # no ramp that is no input
+    # no ramp that is no input
+    states = slice(system.rates.shape[-1] if study.load.profile in WAVES else 2 * system.inertias)
     system = system._replace(
         rates=system.rates[..., states, states],
         inputs=system.inputs[..., states, :],
@@ -334,7 +331,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     )
     if system.drift.size:
         system, chains = _rolling_apart(system, chains)
-    return build_flows(system, chains, held, spans)
+    return build_flows(system, chains, held)
 
 
 def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Chain]]:

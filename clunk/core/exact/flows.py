@@ -39,7 +39,8 @@ from clunk.core.regimes import System
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 SPANS = 32  # two an octave
-MORE_SPANS = 128  # of flows with a wave so fast that the former end long before a run does
+MORE_SPANS = 128  # of flows of which something is so fast that the former end long before a run does
+_FAST = 1e6  # its rate by the end time: it is over, or turns, long before
 PAIRS = ROW // 2  # that lie together: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
 _OF_SERIES = 14  # terms of that of an exponential over one and a half of it
@@ -107,20 +108,23 @@ class Chain(NamedTuple):
     rigid: FloatArray
 
 
-def build_flows(system: System, chains: list[Chain], held: list[int], spans: int) -> Flows:
+def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     """Tables of each flow of a driveline, or of a batch.
 
     The bits of a driveline do not depend on its batch, which has one `modal` and one `steady` for each flow: raises
     UnlikeError where drivelines differ in more than numbers.
 
     system : of a batch, if only of one driveline; without the states of a ramp
-    spans : SPANS or MORE_SPANS
     """
     (*many, count, driven), states = system.feedthrough.shape, system.rates.shape[-1]
     # before anything else: it is by these that drivelines differ in more than numbers, if they do
     scaled = [*map(_scale, chains)]
     modes = [*map(_modes, scaled)]
     wave = states - chains[0].shift.shape[-2]
+    fastest = [np.linalg.norm(each.generator, axis=(-2, -1)) for each in scaled]
+    fastest += [np.abs(system.rates[:, 0, -wave:, -wave:]).max(axis=(-2, -1))] * (wave > 0)
+    is_fast = alike(np.max(fastest, axis=0) * system.end_time[:, 0] > _FAST, 0)
+    spans = MORE_SPANS if is_fast else SPANS
     size = whole(max([states, *(wave + _ends(each.slots) for each in modes if each is not None)]))
     blocks = size // ROW
     shapes = (
@@ -385,7 +389,8 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     at = end + 2 * slow + np.arange(fast)
     basis[..., at], block[:, at, at] = decaying[..., :fast], rates[:, :fast]
     slots = np.arange(size)
-    for k, quick, partner in zip(at, rates[:, :fast].T, rates[:, 1:fast].T, strict=False):
+    partners = [*rates[:, 1:fast].T, *np.zeros((damped.size - slow, count))]  # displacements last
+    for k, quick, partner in zip(at, rates[:, :fast].T, partners, strict=False):
         # what rings keeps spans short as well, by its share of the time that the partner lasts
         lasting = -partner, *(turning.T * (partner / np.minimum(sigma[:, :rings].T, partner - _TINY)))
         slots[k + 1 :] += slots[k] % 2 == 0 and alike(-quick > _FASTER * np.stack(lasting).max(axis=0), 0)
@@ -406,13 +411,13 @@ def _modes(scaled: _Scaled) -> _Modes | None:
 
 
 def _are_moved_apart(damped: IntArray, decaying: FloatArray) -> bool:
-    """Whether the slowest decaying modes, as many as there are damped drifts, move each of these, and no fewer."""
+    """Whether the slowest decaying modes, as many as there are damped drifts, move each of these, far, and no fewer."""
     if not 0 < damped.size <= decaying.shape[-1]:
         return False
     columns = decaying[:, damped, -damped.size :]
     lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
     moved = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
-    return bool(alike(moved[:, -1] > _APART, 0))
+    return bool(alike((moved[:, -1] > _APART) & (lengths.min(axis=(-2, -1)) > 1.0 / _FASTER), 0))
 
 
 @compiled
@@ -500,8 +505,9 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
 
     Of P(λ) x = (λ² + λ D + K) x = 0, where x is 1 in a mode's own displacement, all equations but the mode's own give
     x; that one, s(λ) = 0, has the derivative xᵀ P'(λ) x. P is symmetric: of it is read, and eliminated, what is right
-    of the diagonal, the mode's own last. Eigenvalues that do not converge, or to each other, are NaN: they are of modes
-    that begin to swing, or cease to, or that dampers couple closely. LAPACK takes five times as long.
+    of the diagonal, the mode's own last. Eigenvalues that do not converge, or to each other or the other conjugate,
+    are NaN: they are of modes that begin to swing, or cease to, or that dampers couple closely. LAPACK takes five times
+    as long.
 
     stiffness, damping : (D, m, m) float64
     modes : (k,) int64
@@ -517,7 +523,7 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
         k_of, d_of = stiffness[driveline], damping[driveline]
         for n, mode in enumerate(modes):
             rate, x, sound = rates[driveline, n], shapes[driveline, :, n], False
-            swings = rate.imag != 0.0
+            swing = rate.imag
             for _ in range(_MOST_STEPS):
                 for i in range(m):  # its rows and columns are those of the modes 0, 1, …, m - 1, and then the own
                     r = mode if i == m - 1 else i + (i >= mode)
@@ -545,7 +551,7 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
                 if sound:
                     break
             # 0 is a displacement's own, whatever damps its velocity
-            sound &= (abs(rate.imag) > _ROUNDING * abs(rate)) == swings and rate != 0.0
+            sound &= (rate.imag * swing > _ROUNDING * abs(rate * swing)) == (swing != 0.0) and rate != 0.0
             for other in rates[driveline, :n]:
                 sound &= abs(rate - other) > _ROUNDING * abs(rate)
             rates[driveline, n] = rate if sound else np.nan
