@@ -322,7 +322,7 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     assert command(*sweep, "--no-boundaries")[0] == 0
     code, _, err = command("export", "r.h5", "b.geojson")
     assert code == 2
-    assert "has no boundaries; clunk sweep CONFIG --boundaries adds them" in err
+    assert "has no boundaries; of a map without tolerances clunk sweep --boundaries adds them" in err
     code, _, err = command(*sweep)
     assert code == 0
     assert "already complete" in err
