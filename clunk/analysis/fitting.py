@@ -391,7 +391,7 @@ def check(study: Study, experiment: Experiment) -> None:
         raise ClunkError("impact_severity is not defined for the restitution model; impact_closing_speed is.")
     if whole := next((axis for axis in axes if located(study, axis)[1].whole), None):
         raise ClunkError(
-            f"{whole} is an inertia's number: a fit can look for a label beside measured values of others."
+            f"{whole} is an inertia's number, beside which a fit cannot look for a label; leave out its column."
         )
     for measurement in experiment.measurements:
         if max(measurement.impacts.get("impact_time", {}).values(), default=0.0) > study.solver.end_time:

@@ -158,14 +158,14 @@ class Problem:
 
     @property
     def explored(self) -> int:
-        """The logarithm to base 2 of the number of points that fill the space of the free numbers."""
-        return math.ceil(math.log2(max(_EXPLORED // math.prod(self.shape), 2 * _POPULATION * self.low.size)))
+        """The number of points that fill the space of the free numbers, a power of two as Sobol's are."""
+        return 1 << math.ceil(math.log2(max(_EXPLORED // math.prod(self.shape), 2 * _POPULATION * self.low.size)))
 
     @property
     def most(self) -> int:
         """The most runs that a search takes."""
         of_starts = _STARTS * (self.low.size * _POPULATION * (_GENERATIONS + 1) + 1)
-        return (1 + (1 << self.explored) + of_starts) * math.prod(self.shape)
+        return (1 + self.explored + of_starts) * math.prod(self.shape)
 
     def __call__(self, candidates: Floats) -> Outcomes:
         """Run candidates, (n, parameters); NaN stands for the config's own values."""
@@ -334,7 +334,7 @@ def _explored(problem: Problem) -> Floats:
     from scipy.stats import qmc
 
     design = qmc.Sobol(problem.low.size, seed=np.random.default_rng(problem.optimize.seed))
-    return qmc.scale(design.random_base2(problem.explored), problem.low, problem.high)
+    return qmc.scale(design.random(problem.explored), problem.low, problem.high)
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:

@@ -57,12 +57,10 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
     if output is not None:
         from clunk.plot.analyses import difference_map, experiment_map
 
-        results = results.of_lash()
-        if other is None:
-            figure = experiment_map(results, comparison)
-        else:
-            figure = difference_map(results, compare_maps(results, other.of_lash()))
-        terminal.save_picture(figure, output)
+        draw, first, drawn = experiment_map if other is None else difference_map, results.of_lash(), comparison
+        if other is not None and results.lashes:
+            drawn = compare_maps(first, other.of_lash())
+        terminal.save_picture(draw(first, drawn), output)
     if expect_equal and not comparison.same_regimes:
         sys.exit(EXIT_MISMATCH)
 

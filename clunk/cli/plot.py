@@ -84,10 +84,10 @@ def plot(
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}
     if lash is None and results.lashes and LASH not in facets:
-        names = [re.sub(_NO_FILE, "_", name)[:_LONGEST] for name in results.lashes]
-        if len(set(names)) < len(names):
-            names = [str(number) for number in range(1, len(names) + 1)]
-        each = {f"-{name}": results.at_lash(lash) for name, lash in zip(names, results.lashes, strict=True)}
+        stems = [re.sub(_NO_FILE, "_", name)[:_LONGEST] for name in results.lashes]
+        if len(set(stems)) < len(stems):
+            stems = [str(number) for number in range(1, len(stems) + 1)]
+        each = {f"-{stem}": results.at_lash(name) for stem, name in zip(stems, results.lashes, strict=True)}
     for of_lash, part in each.items():
         thresholds = thresholds_of(part)
         names = [quantity] if quantity else plots.default_quantities(part, **look)

@@ -389,7 +389,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     at = end + 2 * slow + np.arange(fast)
     basis[..., at], block[:, at, at] = decaying[..., :fast], rates[:, :fast]
     slots = np.arange(size)
-    partners = [*rates[:, 1:fast].T, *np.zeros((damped.size - slow, count))]  # displacements last
+    partners = [*rates[:, 1:fast].T, *np.zeros((damped.size - slow, count))]  # of displacements that none moves far
     for k, quick, partner in zip(at, rates[:, :fast].T, partners, strict=False):
         # what rings keeps spans short as well, by its share of the time that the partner lasts
         lasting = -partner, *(turning.T * (partner / np.minimum(sigma[:, :rings].T, partner - _TINY)))
@@ -505,9 +505,9 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
 
     Of P(λ) x = (λ² + λ D + K) x = 0, where x is 1 in a mode's own displacement, all equations but the mode's own give
     x; that one, s(λ) = 0, has the derivative xᵀ P'(λ) x. P is symmetric: of it is read, and eliminated, what is right
-    of the diagonal, the mode's own last. Eigenvalues that do not converge, or to each other or the other conjugate,
-    are NaN: they are of modes that begin to swing, or cease to, or that dampers couple closely. LAPACK takes five times
-    as long.
+    of the diagonal, the mode's own last. Eigenvalues are NaN that do not converge, or to one that is found already,
+    or to the conjugate of where they began: they are of modes that begin to swing, or cease to, or that dampers couple
+    closely. LAPACK takes five times as long.
 
     stiffness, damping : (D, m, m) float64
     modes : (k,) int64
