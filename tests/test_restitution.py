@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import BOERE, axis
+from helpers import reference
 from helpers.agreement import exact
 from helpers.reference import Plant
 
@@ -164,6 +165,26 @@ def test_a_light_end_behind_a_damper_changes_what_it_weighs():
     heavy, light, lightest = (run.events["time"] for run in runs)
     assert heavy - lightest == pytest.approx(100.0 * (light - lightest), rel=0.05, abs=1e-10)
     assert max(balance(run).relative_residual for run in runs) < 1e-12
+
+
+def test_the_margin_is_small_where_flanks_all_but_lock():
+    """Locked, they touch again after a separation from sticking; parting before, they do not, and the label is another.
+
+    At the border the flanks are about as slow as what locks them, 1e-4 of their fastest touch, and the torque is as
+    slight a share of that at rest, since it turns its sign within the rebounds.
+    """
+
+    def run(restitution):
+        return exact(reference.boere(5.0, 6.0, restitution=restitution))
+
+    low, high = 0.98, 0.99
+    locks, parts = run(low), run(high)
+    assert (locks.label, parts.label) == ("DS(1)SS(1)", "DS(1)")
+    assert min(abs(locks.margin), abs(parts.margin)) > 4e-3
+    while high - low > 1e-9:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if run(middle).label == locks.label else (low, middle)
+    assert max(abs(run(low).margin), abs(run(high).margin)) < 1e-3
 
 
 def test_a_faster_locking_speed_locks_earlier():

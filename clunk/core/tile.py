@@ -14,9 +14,9 @@ from clunk.core.exact.workspace import (
     UNDER_WAY,
     Workspace,
     log_of,
-    make_workspace,
     system_at,
     system_of,
+    workspace_of,
 )
 from clunk.core.jit import compiled, part
 from clunk.core.references import refer
@@ -154,7 +154,7 @@ def run_tile(
         room = make_room(system, tables)
         return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, x, stop)
     slots = min(UNDER_WAY, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
-    space = make_workspace(batch.systems, tables, cases.loads, slots, capacity, states)
+    space = workspace_of(batch.systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)
     begins, impacts = np.full(cells - first, -1), output.impacts
     done = by_exact(space, undecided, cases, first, max_events, output, x, free, begins, stop)

@@ -81,8 +81,9 @@ class Map(Design, ABC):
     def __post_init__(self) -> None:
         if set(self.arrays) != set(self.quantities):
             raise ValueError("the arrays are not those of the quantities that the config asks for")
+        of_cells, entries = self.shape, self.entries
         for name, quantity in self.quantities.items():
-            shape = (*self.shape, len(self.entries[quantity.dimension])) if quantity.dimension else self.shape
+            shape = (*of_cells, len(entries[quantity.dimension])) if quantity.dimension else of_cells
             if quantity.dimension in COUNTED_BY:
                 shape = (int(self.first_impact[-1]),)
             array = self.arrays[name]

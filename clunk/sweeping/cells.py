@@ -296,14 +296,15 @@ class Grid:
         cells, details = self._followed(batch, cases, stop, room, logs, states)
         if self.study.solver.method == "exact" and self.study.solver.margin_tolerance:
             long = np.flatnonzero((cells["touches"] >= _MANY_TOUCHES).any(axis=1))
-            again = cases.at(long)
-            again = again._replace(before=again.before * _NUDGED)
-            others, _ = self._followed(batch, again, stop, room, logs[:0], states[:0])
-            if len(others) < long.size:
-                cells, details = cells[:0], details[:0]
-            else:
-                differ = (cells[_OUTCOME][long] != others[_OUTCOME]).any(axis=1)
-                cells["quality"][long[differ]] |= QUALITY_UNDECIDED
+            if long.size:
+                again = cases.at(long)
+                again = again._replace(before=again.before * _NUDGED)
+                others, _ = self._followed(batch, again, stop, room, logs[:0], states[:0])
+                if len(others) < long.size:
+                    cells, details = cells[:0], details[:0]
+                else:
+                    differ = (cells[_OUTCOME][long] != others[_OUTCOME]).any(axis=1)
+                    cells["quality"][long[differ]] |= QUALITY_UNDECIDED
         if not len(states):
             return cells.ravel(), details
         return self._measured(batch, cases, kernel.Output(cells, details, logs, states))

@@ -2,9 +2,11 @@
 
 Positive, what did not happen: the least distance to a flank at a turning point inside an open phase, as a share of the
 whole gap; the least overlap of the flanks (restitution: the torque that holds) at a turning point inside a contact
-phase later than the sticking time after the touch, as a share of its static value under the torque after the load step.
-Negative, what did: how deep a primary touch, or the end of sticking (by force: the opening), would go until it turned
-back, were the guard not to act; and one less the age over the sticking time, of either sign, for every separation.
+phase later than the sticking time after the touch, as a share of its static value under the torque after the load step;
+of rigid flanks that rebound the larger of their speed, as a share of the fastest touch's, and of that torque. Negative,
+what did: how deep a primary touch, or the end of sticking (by force: the opening), would go until it turned back, were
+the guard not to act; of a lock the torque that holds; and one less the age over the sticking time, of either sign, for
+every separation.
 """
 
 from bisect import bisect_right
@@ -29,14 +31,19 @@ class Candidate(NamedTuple):
 
 
 def static_contact(plant):
-    """The contact's guard in steady motion under the last torque of the load; 0 where no flank carries it."""
-    resting = replace(plant, profile=reference.step(), before=plant.final, after=plant.final)
-    try:
-        side, state = resting.preload()
-    except ValueError:
-        return 0.0
-    flow = reference.Flow(resting)
-    return float(_holding(flow, 0, Mode("closed", side)).row @ flow.augmented(flow.coordinates(state), 0, 0.0))
+    """The contact's guard in steady motion under the last torque of the load, or where that presses no flank the first.
+
+    0 where neither does.
+    """
+    for torque in (plant.final, plant.before):
+        resting = replace(plant, profile=reference.step(), before=torque, after=torque)
+        try:
+            side, state = resting.preload()
+        except ValueError:
+            continue
+        flow = reference.Flow(resting)
+        return float(_holding(flow, 0, Mode("closed", side)).row @ flow.augmented(flow.coordinates(state), 0, 0.0))
+    return 0.0
 
 
 def _holding(flow, k, closed):
@@ -96,12 +103,21 @@ def candidates(plant, events, end, sticking):
     """All of a run's, whatever their size; `sticking` is the sticking time  [s]."""
     flow = reference.Flow(plant)
     gap, static = plant.backlash, static_contact(plant)
-    by_force = plant.separation == "force" and plant.restitution is None
+    rigid = plant.restitution is not None
+    by_force, fastest = plant.separation == "force" and not rigid, 0.0
     began, last_side, every, stuck = -np.inf, events[0].side, [], False
     for event, following in zip(events, [*events[1:], None], strict=True):
         if event.kind in ("touch", "lock"):
             began, last_side = event.time, event.side
         (mode,) = event.modes
+        if event.kind == "touch" and rigid and static > 0.0:
+            fastest = max(fastest, abs(event.speed))
+            k = max(bisect_right([piece.begin for piece in flow.pieces], event.time) - 1, 0)
+            row = _holding(flow, k, Mode("closed", event.side)).row
+            torque = abs(float(row @ flow.augmented(event.coordinates, k, event.time))) / static
+            locks = following is not None and following.kind == "lock"
+            slow = max(plant.restitution * abs(event.speed) / fastest, torque)
+            every.append(Candidate(-torque if locks else slow, "lock" if locks else "rebound", event.time))
         length = (following.time if following else end) - event.time
         scale = gap if mode == OPEN else static
         if mode.name != "parted" and length > 0.0 and scale > 0.0:

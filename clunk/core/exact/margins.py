@@ -4,9 +4,10 @@ It is the smallest in size of
 
 - positive, what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the whole
   gap; and where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
-  torque that locks them), as a share of its value at rest;
+  torque that locks them), as a share of its value at rest; where rigid flanks rebound, the larger of their speed, as a
+  share of the fastest touch's, and of that torque, likewise;
 - negative, what did: how much further a primary touch, or the end of a sticking contact, would have gone, were the
-  contact not to change;
+  contact not to change; of a lock, the torque that holds the flanks, as such a share;
 - of either sign: 1 - (length of a contact)/(sticking time), at each separation.
 
 The turns of guards, and how deep they would go, `search` finds within a step.
@@ -19,7 +20,7 @@ from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import lash_of, overlap_of
 from clunk.core.rigid import holding_torque
-from clunk.core.runs import LEVEL, Moment, Start
+from clunk.core.runs import LEVEL, Entry, Moment, Start
 from clunk.core.sequence import is_primary, is_sticking
 from clunk.core.status import OK, QUALITY_GRAZING
 from clunk.core.switching import preload
@@ -71,6 +72,27 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
     elif is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
         _take(own, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / space.static[slot, lash])
+
+
+@inlined_part
+def take_margins_of_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
+    """Take what the event that a run has switched by says, where it was a touch of rigid flanks, or several.
+
+    Between flanks that lock and those that rebound until they part lies a touch after which they are as slow, and as
+    slightly held, as at a lock.
+    """
+    system, row = at.system, space.runs[slot]
+    is_impact = system.impulsive != 0 and system.guards[row.regime, row.guard].event_kind == TOUCH
+    for n in range(row.count, entry.written if is_impact else row.count):
+        event = space.events[slot, n]
+        own, static = space.numbers[slot, lash_at(space, event.lash) :], space.static[slot, event.lash]
+        if event.kind != TOUCH or not static > 0.0:
+            continue
+        locks = system.contacts[entry.regime, event.lash].closed != 0
+        speed = system.restitution[event.lash] * abs(event.speed) / space.fastest[slot, event.lash]
+        if locks or speed < abs(own[rows.MARGIN]):
+            torque = abs(holding_torque(at, entry.regime, event.lash)[0]) / static
+            _take(own, -torque if locks else max(speed, torque))
 
 
 @inlined_part

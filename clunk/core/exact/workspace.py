@@ -3,6 +3,7 @@
 `rows` names these numbers.
 """
 
+import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -103,6 +104,20 @@ class Workspace(NamedTuple):
     lane_state_origins: FloatArray  # (4 I C, W)
     lane_table: FloatArray  # (…, W)  any other
     held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
+
+
+_latest = threading.local()  # `space`: the one of one driveline that a thread had last
+
+
+def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int) -> Workspace:
+    """Room for `slots` runs or more, as `make_workspace` has it: what this thread had last, where that fits."""
+    space: Workspace | None = getattr(_latest, "space", None)
+    fits = space and space.flows is flows and len(space.runs) > slots and space.events.shape[1] == capacity
+    if not space or not fits or space.states.shape[1] != states:
+        space = make_workspace(systems, flows, loads, slots, capacity, states)
+        _latest.space = None if space.mixed else space
+    space.pool.length[:] = 0  # runs that were stopped wait there
+    return space._replace(loads=loads)
 
 
 def make_workspace(
