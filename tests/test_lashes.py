@@ -8,6 +8,7 @@ from helpers import reference
 from helpers.reference import Lash, Plant
 
 import clunk
+from clunk.core.events import TOUCH
 from clunk.core.status import Status
 from clunk.simulation.driveline import build
 from clunk.simulation.trajectory import simulate
@@ -138,6 +139,58 @@ def test_impacts_of_rigid_flanks_pass_through_those_that_they_press(method):
         assert np.abs(after[held > 0]).max(initial=0.0) < 1e-12
         through += held.any()
     assert through > 2
+
+
+PRINTING_PRESS = """
+[driveline]
+names = ["motor", "main", "a", "b", "c", "drum a", "drum b"]
+inertias = [0.3, 0.05, 0.01, 0.01, 0.02, 0.6, 0.5]
+shafts = [
+    {between = ["motor", "main"], stiffness = 3000.0, damping = 1.0},
+    {between = ["a", "drum a"], stiffness = 2000.0, damping = 0.8},
+    {between = ["b", "drum b"], stiffness = 2200.0, damping = 0.8},
+    {between = ["drum a", "ground"], damping = 0.8},
+    {between = ["drum b", "ground"], damping = 0.7},
+    {between = ["c", "ground"], damping = 0.1},
+]
+[[lash]]
+between = ["main", "a"]
+ratio = 1.5
+backlash_deg = 0.5
+radius = 0.05
+contact = {model = "restitution", restitution = 0.3}
+[[lash]]
+between = ["main", "b"]
+ratio = -1.5
+backlash_deg = 0.7
+radius = 0.05
+contact = {model = "restitution", restitution = 0.5}
+[[lash]]
+between = ["b", "c"]
+ratio = -1.0
+backlash_deg = 1.2
+radius = 0.05
+contact = {model = "restitution", restitution = 0.7}
+[load]
+on = "motor"
+profile = "ramp"
+duration = 0.25
+initial_torque = 80.0
+final_torque = -10.0
+[solver]
+step = 2e-5
+end_time = 1.69
+"""
+
+
+def test_by_rk4_locked_lashes_stay_where_they_are_until_another_one_parts():
+    """They are locked for 80,000 steps, of which each rounds; a touch of no speed would be made of that, and a label."""
+    study = clunk.study_from_text(PRINTING_PRESS)
+    rk4, by_modes = (simulate(study.but(solver=study.solver.but(method=method))) for method in ("rk4", "exact"))
+    assert [lash.label for lash in rk4.lashes] == [lash.label for lash in by_modes.lashes]
+    assert rk4.touches == by_modes.touches
+    assert rk4.events["time"] == pytest.approx(by_modes.events["time"], abs=1e-7)  # both torques turn slowly
+    assert TOUCH not in rk4.events["kind"]
 
 
 def test_rigid_lashes_that_share_a_torque_are_refused():

@@ -294,6 +294,15 @@ def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, fl
 
 
 @part
+def keep_locked(system: System, regime: int, x: FloatArray, inputs: FloatArray) -> None:
+    """Bring the locked flanks of several lashes back to each other, from which rounding drives them step by step."""
+    for lash in range(system.lash_count if system.impulsive != 0 and system.lash_count > 1 else 0):
+        contact = system.contacts[regime, lash]
+        if contact.closed != 0:
+            _hold(system, held_with(system, regime, lash), lash, x, contact.side * inputs[gap_input(lash)])
+
+
+@part
 def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> None:
     """Make q = `gap` and q' = 0 as an impulse would, which moves neither the centre of mass nor the lashes that hold.
 

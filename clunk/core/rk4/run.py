@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from clunk.core import rigid
 from clunk.core.arrays import FloatArray, StopFlag
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, turn_back
@@ -90,6 +91,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         extremes = log.extremes[entry.written - 1]
         while True:  # one expanded step, then full ones while nothing can happen in them, until a guard ends the phase
             length, spanned = _next_length(grid, index, offset)
+            rigid.keep_locked(system, entry.regime, x, inputs)
             expand(system, flow, x, room)
             s, guard = first_event(system, entry.regime, room, max(length, 0.0), zero_guard, entry.zero_order)
             widen_extremes(system, flow, room, s, extremes)
