@@ -17,7 +17,7 @@ from clunk.analysis import lines
 from clunk.analysis.boundaries import boundaries
 from clunk.analysis.network import Ring, _contains
 from clunk.results.boundaries import Boundaries
-from clunk.results.labels import FAILED
+from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 from clunk.study.rules import count_of_regimes
@@ -322,7 +322,7 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     assert command(*sweep, "--no-boundaries")[0] == 0
     code, _, err = command("export", "r.h5", "b.geojson")
     assert code == 2
-    assert "has no boundaries; of a map without tolerances clunk sweep --boundaries adds them" in err
+    assert "has no boundaries; clunk sweep --boundaries adds those of a grid of two axes" in err
     code, _, err = command(*sweep)
     assert code == 0
     assert "already complete" in err
@@ -416,3 +416,12 @@ def test_maps_are_drawn_with_the_traced_curves(turned):
     for label in ("NI", "SS(1)", "DS(1)SS(1)", "DS(2)"):
         point = np.array(places[label][:: -1 if turned else 1])
         assert [region.label for region in results.boundaries.regions if is_within(region, point)] == [label]
+
+
+def test_runs_beside_a_value_that_no_config_may_hold_fail_and_their_curves_have_no_event():
+    """A gear of ratio 0 lies between those that turn its shaft either way."""
+    ratios = study(axis("lash.ratio", -1.0, 1.0, 4), axis("load.ratio", 1.0, 3.0, 3))
+    found = boundaries(ratios, clunk.sweep(ratios, boundaries=False))
+    beside = (found.curve_left == FAILED_CODE) | (found.curve_right == FAILED_CODE)
+    assert beside.any()
+    assert not found.curve_event[beside].any()

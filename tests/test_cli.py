@@ -473,3 +473,11 @@ def test_help_lists_its_topics_and_prints_one_as_it_is_where_no_terminal_is(comm
     code, _, err = command("help", "metod")
     assert code == 2
     assert "method" in err
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+def test_a_stream_that_is_closed_takes_what_is_written(tmp_path, closed):
+    """As ``>&-`` and the starters of services close them."""
+    code = f"import sys; sys.{closed} = None; sys.argv[:] = ['clunk', 'help', 'config']; import clunk.cli as program"
+    done = subprocess.run([sys.executable, "-c", f"{code}; program.main()"], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from conftest import EXACT, axis, drawn, values
+from conftest import EXACT, NOMINAL, axis, drawn, values
 from helpers.maps import IMPACT_QUANTITIES
+from scipy.stats import truncnorm
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
@@ -15,8 +16,10 @@ from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of
+from clunk.study.errors import ConfigError
 from clunk.study.records import plain, text_of
 from clunk.study.study import replace_values
+from clunk.study.sweeps import Draw
 from clunk.sweeping.sweep import sweep
 
 ZIP = f'{EXACT}[sweep]\ndesign = "zip"\n{values("load.ratio", [1, 2, 5, 5, 8])}{axis("lash.backlash_deg", 1, 9, 5)}'
@@ -300,3 +303,25 @@ class TestFigures:
         assert all(len(own) == 1 for own in by_label.values())
         assert len(set.union(*by_label.values())) == len(sampled.labels)
         assert len(figure.legends[0].get_texts()) == len(sampled.labels)
+
+
+@pytest.mark.parametrize(
+    ("mean", "std", "low", "high"), [(0, 1, 9, 10), (1, 0.1, 3, None), (0, 1, -10, -9), (0, 1, None, -9), (0, 1, -1, 2)]
+)
+def test_a_truncated_distribution_is_drawn_from_however_far_its_bounds_are(mean, std, low, high):
+    """Beyond 8.3 standard deviations the probability below a bound is 1, and the one above it has the digits."""
+    u = np.linspace(0.01, 0.99, 9)
+    ends = (-np.inf if low is None else (low - mean) / std, np.inf if high is None else (high - mean) / std)
+    expected = truncnorm.ppf(u, *ends, mean, std)
+    draw = Draw(parameter="load.ratio", distribution="normal", mean=mean, std=std, low=low, high=high)
+    assert draw.quantiles(u, 5.0) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "numbers", [{"distribution": "normal", "std": 0.1, "low": 9.0}, {"distribution": "lognormal", "sigma": 0.1}]
+)
+def test_what_nothing_can_be_drawn_of_is_refused(numbers):
+    """No number of a normal distribution is 90 standard deviations from its mean; a median of zero is none."""
+    text = NOMINAL + drawn("samples", "load.ratio", **numbers)
+    with pytest.raises(ConfigError, match=r"nothing can be drawn for load\.ratio"):
+        study_from_text(text, overrides=["load.ratio=0"])

@@ -138,6 +138,12 @@ class TestSubject:
         assert sampled.run({"run": 3.0}, {}).trajectory.severity == results.severity[2]
         assert picture(results, "severity")["points"]["data"]["y"].tolist() == results.severity.tolist()
 
+    def test_the_config_of_a_sample_gives_its_map_whichever_run_is_looked_at(self):
+        text = NOMINAL + EXACT + drawn("samples", "load.ratio", "normal", draws="factor", std=0.1)
+        results = sweep(study_from_text(text + "[sweep.sampling]\ncount = 4\n"))
+        again = sweep(study_from_text(Subject(results).config({"run": 3.0}, {})))
+        assert np.array_equal(again.severity, results.severity)
+
     def test_of_one_cell_there_is_a_run_and_no_map(self):
         alone = Subject(sweep(of_one_cell(study_from_text(NOMINAL + EXACT))))
         assert (alone.plane, alone.slices, alone.swept) == ((), (), ())

@@ -184,7 +184,7 @@ end_time = 1.69
 
 
 def test_by_rk4_locked_lashes_stay_where_they_are_until_another_one_parts():
-    """They are locked for 80,000 steps, of which each rounds; a touch of no speed would be made of that, and a label."""
+    """They are locked for 80,000 steps, each of which rounds; that would make a touch of no speed, and a label."""
     study = clunk.study_from_text(PRINTING_PRESS)
     rk4, by_modes = (simulate(study.but(solver=study.solver.but(method=method))) for method in ("rk4", "exact"))
     assert [lash.label for lash in rk4.lashes] == [lash.label for lash in by_modes.lashes]

@@ -144,6 +144,16 @@ def test_a_search_takes_no_more_runs_than_it_says(brief, monkeypatch):
     assert {most for _, most in said} == {best.runs}  # no start is done after two generations
 
 
+def test_candidates_that_no_config_may_hold_fail_as_runs_do(brief):
+    """A gear of ratio 0 turns nothing, and where one is all but that the stiffnesses are too unlike."""
+    free = DAMPED_RAMP.split("[optimize]")[0] + "[optimize]\nminimize = {minimize}\nsubject_to = {subject_to}\n"
+    free += 'parameters = [{{parameter = "lash.ratio", low = -2e-6, high = 2e-6}}]\n'
+    problem = Problem(study_from_text(free.format(minimize='"severity"', subject_to='["touches<=100"]')))
+    outcomes = problem(np.array([[0.0], [2e-6], [0.0], [-2e-6]]))
+    assert np.isfinite(outcomes.value).tolist() == [False, True, False, True]
+    assert (outcomes.excess == 0.0).tolist() == [False, True, False, True]
+
+
 def test_conditions_that_nothing_meets_are_said_and_the_nearest_is_given(brief):
     best = optimize(damped_ramp(subject_to=["label=DS(3)SS(2)"]))
     assert not best.holds

@@ -270,8 +270,9 @@ def test_three_axes_are_refused_with_a_way_out(nine: Results) -> None:
 
 def test_dollar_signs_are_only_dollar_signs(nine: Results, tmp_path: Path) -> None:
     axes = (replace(RATIO, name="price $x^{"), BACKLASH)
-    results = replace(make(axes, nine.labels, nine.sequence, nine.severity), title="5 $ and 6 $_{")
-    plot.save(regime_map(results), tmp_path / "map.svg")
+    results = make(axes, nine.labels, nine.sequence, nine.severity)
+    for title in ("5 $ and 6 $_{", "2 $ (no. #1) or 3 $"):
+        plot.save(regime_map(replace(results, title=title)), tmp_path / "map.svg")
 
 
 # --- colours: simulated colour blindness after Machado, Oliveira and Fernandes (2009), severity 1

@@ -13,6 +13,7 @@ from clunk.cli import cli
 from clunk.cli.terminal import safe
 from clunk.results.store import write_results
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.keys import keys
 from clunk.sweeping.sweep import sweep
 
@@ -41,6 +42,11 @@ def test_a_title_names_no_file(tmp_path, monkeypatch, title):
         assert CliRunner().invoke(cli, arguments).exit_code == 0
     found = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
     assert found == ["a/b/results/study.h5", "a/b/run.csv", "a/b/study.toml"]
+
+
+def test_bytes_that_are_no_text_are_refused():
+    with pytest.raises(ClunkError, match="is no TOML value"):
+        study_from_text('driveline.preset = "boere-2008"', overrides=['title="\udcff"'])
 
 
 HOSTILE = "\x1b]0;owned\x07 \x1b[2J\x9b31m \u202egnp.exe"

@@ -12,7 +12,7 @@ import numpy as np
 
 from clunk.analysis.lines import Lines, Triangles
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
-from clunk.analysis.search import POINT, PointRuns, check_axis, grid_axes
+from clunk.analysis.search import POINT, PointRuns, check_axis, grid_axes, in_halves
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.status import Status
 from clunk.results.boundaries import (
@@ -190,11 +190,15 @@ def events_between(runner: Runner, engine: Executor, lash: int, one: Floats, oth
     one, other : the points, (n, keys of the runner)
     """
 
-    def of_part(begin: int) -> Codes:
-        points = np.stack([part[begin : begin + _AT_ONCE] for part in (one, other)], axis=1).reshape(-1, one.shape[1])
+    def of_pairs(pairs: Floats) -> Codes:
+        points = pairs.reshape(-1, one.shape[1])
         records, logs = runner.grid.logged(dict(zip(runner.keys, points.T, strict=True)), len(points))
-        pairs = records[:, lash].reshape(-1, 2), logs.reshape(len(points) // 2, 2, -1)
-        return _differences(*pairs, runner.study.solver.end_time, lash)
+        records, logs = records[:, lash].reshape(-1, 2), logs.reshape(len(pairs), 2, -1)
+        return _differences(records, logs, runner.study.solver.end_time, lash)
+
+    def of_part(begin: int) -> Codes:
+        pairs = np.stack([part[begin : begin + _AT_ONCE] for part in (one, other)], axis=1)
+        return in_halves(of_pairs, pairs, np.array([UNKNOWN]))
 
     return np.concatenate([np.zeros(0, np.int64), *engine.map(of_part, range(0, len(one), _AT_ONCE))])
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from clunk.analysis.search import in_halves
 from clunk.core.runs import BEGIN
 from clunk.results.quantities import YES_NO, measuring, quantity_of
 from clunk.simulation.load import cases_of
@@ -170,11 +171,8 @@ class Problem:
     def __call__(self, candidates: Floats) -> Outcomes:
         """Run candidates, (n, parameters); NaN stands for the config's own values."""
         shape = (len(candidates), *self.shape)
-        columns = self._columns(candidates, shape)
-        results = self._runner(self._runner.values(columns)).of_lash(self._lash)
-        self.runs += results.sequence.size
-        if self.progress is not None:
-            self.progress(self.runs, max(self.runs, self.most))
+        refused = np.full((1, math.prod(self.shape), 1 + len(self._numbers) + len(self._conditions)), np.nan)
+        margin, *found = np.moveaxis(in_halves(self._run, candidates, refused), 2, 0)
 
         def worst(values: Floats) -> Floats:
             """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
@@ -182,30 +180,42 @@ class Problem:
 
         lacks = np.zeros((shape[0], shape[2]))
         quantities = {}
-        for condition in self._conditions:
-            met = condition.of_runs(results) == 1.0  # NaN where a run failed
-            # a number lacks its distance from its bound, a label the speed of the impacts
-            beyond = results.approach_velocity
-            if condition.base is not None and isinstance(condition.bound, float):
-                beyond = np.abs(condition.base.of_runs(results) - condition.bound) / (abs(condition.bound) or 1.0)
-            lacking = worst(np.where(met, 0.0, 0.1 + beyond))
+        for condition, beyond in zip(self._conditions, found[len(self._numbers) :], strict=True):
+            lacking = worst(beyond)
             lacks += lacking
             quantities[condition.name] = (lacking == 0.0).all(axis=1)
-        for quantity in self._numbers:
-            numbers = worst(quantity.compared(results).astype(np.float64))
+        for quantity, values in zip(self._numbers, found, strict=False):
+            numbers = worst(values)
             quantities[quantity.name] = numbers.max(axis=1)
         parameters = self.parameters(candidates)
         if self.optimize.minimize in parameters:
             numbers = np.tile(parameters[self.optimize.minimize][:, None], shape[2])
         elif self.optimize.minimize == RELEASE_TIME:
-            numbers = worst(self._release_times(columns))
+            numbers = worst(self._release_times(self._columns(candidates, shape)))
         value = np.sort(numbers, axis=1)[:, self._needed - 1]
         holds = lacks == 0.0
         share = holds.mean(axis=1)
         graded = (1.0 - 1.0 / (1.0 + lacks)).mean(axis=1)
         excess = np.where(holds.sum(axis=1) < self._needed, 1.0 - share + graded, 0.0)
-        margin = np.abs(results.margin).reshape(len(candidates), -1).min(axis=1)
+        margin = np.abs(margin).min(axis=1)
         return Outcomes(value, excess, share, margin, {self.optimize.minimize: value, **quantities})
+
+    def _run(self, candidates: Floats) -> Floats:
+        """Margin, numbers, and how far each condition is from being met, in all runs of candidates, (n, runs, each)."""
+        columns = self._columns(candidates, (len(candidates), *self.shape))
+        results = self._runner(self._runner.values(columns)).of_lash(self._lash)
+        self.runs += results.sequence.size
+        if self.progress is not None:
+            self.progress(self.runs, max(self.runs, self.most))
+        found = [results.margin, *(quantity.compared(results) for quantity in self._numbers)]
+        for condition in self._conditions:
+            # a number lacks its distance from its bound, a label the speed of the impacts
+            beyond = results.approach_velocity
+            if condition.base is not None and isinstance(condition.bound, float):
+                beyond = np.abs(condition.base.of_runs(results) - condition.bound) / (abs(condition.bound) or 1.0)
+            is_met = condition.of_runs(results) == 1.0  # NaN where a run failed
+            found.append(np.where(is_met, 0.0, 0.1 + beyond))
+        return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))
 
     def parameters(self, candidates: Floats) -> dict[str, Floats]:
         """Values of the free keys, (n,) each, by candidates, (n, parameters)."""

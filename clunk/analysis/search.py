@@ -25,7 +25,7 @@ from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
-from clunk.study.arrays import Bools, Codes, Floats, Records
+from clunk.study.arrays import Array, Bools, Codes, Floats, Records
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, ConfigError
@@ -209,6 +209,25 @@ Word = str | bool | int  # an outcome: a label, whether something holds, or a co
 _STEPS = 1_000  # of rk4 that take as long as a unit of `PointRuns.cost`
 
 
+def in_halves(run: Callable[[Floats], Array], points: Floats, refused: Array) -> Array:
+    """What `run` makes of points, in parts where it raises ConfigError; of one that no config may hold it is `refused`.
+
+    Between values that are allowed there may be some that are not, such as a ratio of zero.
+    """
+    try:
+        return run(points)
+    except ConfigError:
+        if len(points) == 1:
+            return refused
+        return np.concatenate([in_halves(run, part, refused) for part in np.array_split(points, 2)])
+
+
+def _failed(count: int) -> Points:
+    points = np.zeros(count, POINT)
+    points["outcome"], points["measure"] = FAILED_CODE, np.nan
+    return points
+
+
 class PointRuns:
     """Runs at points of some parameters, and the codes of their outcomes.
 
@@ -252,17 +271,10 @@ class PointRuns:
 
     def __call__(self, values: Floats) -> Points:
         """Run points, (n, parameters), in their units."""
-        points = np.zeros(len(values), POINT)
-        points["outcome"], points["measure"] = FAILED_CODE, np.nan
-        if not len(values):
-            return points
-        try:
-            results = self.runner.run(values).of_lash(self._lash)
-        except ConfigError:  # between allowed values there may be one that is not, such as a ratio of zero: it fails
-            if len(values) == 1:
-                return points
-            middle = len(values) // 2
-            return np.concatenate([self(values[:middle]), self(values[middle:])])
+        return in_halves(self._run, values, _failed(1)) if len(values) else _failed(0)
+
+    def _run(self, values: Floats) -> Points:
+        results, points = self.runner.run(values).of_lash(self._lash), _failed(len(values))
         points["touches"] = results.touches
         finished = results.status == Status.OK
         words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)

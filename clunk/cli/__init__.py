@@ -60,6 +60,7 @@ def main() -> NoReturn:
     signal.signal(signal.SIGTERM, _terminate)
     warnings.simplefilter("default", ClunkWarning)
     warnings.showwarning = _warn
+    sys.stdout, sys.stderr = sys.stdout or io.StringIO(), sys.stderr or io.StringIO()  # one that is closed is None
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without σ shows a ? instead of a traceback

@@ -78,13 +78,18 @@ class Subject:
         return sample(trajectory, until=shown_until(trajectory))
 
     def config(self, cell: Numbers, numbers: Numbers) -> str:
-        """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell."""
+        """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell.
+
+        What a sampled design draws stays what it is drawn about: of its runs, `clunk simulate --at` gives the one.
+        """
         if not self.plane:
             return to_toml(self._study_at(cell, numbers))
         swept, whole = self._study_of_map(cell, numbers).swept, self._toleranced.swept
         if whole.tolerances and not numbers:
             swept = swept.but(tolerances=whole.tolerances, sampling=whole.sampling)
-        return to_toml(self._study_at(cell, numbers).but(sweep=swept))
+        drawn = {each.parameter for each in swept.samples}
+        kept = {key: value for key, value in self.values(cell).items() if key not in drawn}
+        return to_toml(replace_values(self.study.but(sweep=None), {**kept, **numbers}).but(sweep=swept))
 
     def maps(self, slices: Numbers, numbers: Numbers, lash: str, progress: Progress) -> Iterator[AnyMap]:
         """Yield the map with other numbers, better and better: every few values, all of them, and with its lines.

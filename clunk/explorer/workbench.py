@@ -25,6 +25,7 @@ from clunk.plot.style import FAINT_INK
 from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, TEXT, quantities_of
+from clunk.study.axes import RUN
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import compiling_note, warm_up
 
@@ -243,7 +244,8 @@ class Workbench:
             config = self._subject.config(self._run.values, self._run.numbers)
             self._download.data = {"name": [name], "text": [config]}
             what = f", clunk sweep {name} the map" if self._map else ""
-            self._say(f"saved {name}: clunk simulate {name} makes this run{what}")
+            at = f" --at run={self._run.values[RUN]:g}" if self._subject.study.swept.samples else ""
+            self._say(f"saved {name}: clunk simulate {name}{at} makes this run{what}")
 
     # --- Runs --------------------------------------------------------------------------------------------------------
 

@@ -116,8 +116,10 @@ def lay_out(
     parse_math : whether the line is TeX between its dollar signs
     """
     place = {"x": _INDENT, "ha": "left", "wrap": True}
-    titles = [figure.suptitle(title, fontsize=11.5, fontweight="bold", parse_math=False, **place)]
-    look: Look = {"fontsize": 9.0, "color": FAINT_INK, "parse_math": parse_math}
+    # what wraps is measured as TeX, whatever its `parse_math`
+    titles = [figure.suptitle(plain(title), fontsize=11.5, fontweight="bold", **place)]
+    line = line if parse_math else plain(line)
+    look: Look = {"fontsize": 9.0, "color": FAINT_INK}
     titles += [part.suptitle(line, **look, **place) for part in figure.subfigs]
     if len(titles) == 1:
         ax.set_title(line, loc="left", wrap=True, **look)

@@ -86,7 +86,7 @@ def _write_mat(stream: BinaryIO, results: AnyMap) -> None:
 def _write_geojson(stream: BinaryIO, results: AnyMap) -> None:
     """Write the boundaries of a map."""
     if results.boundaries is None:
-        raise ClunkError("The map has no boundaries; of a map without tolerances clunk sweep --boundaries adds them.")
+        raise ClunkError("The map has no boundaries; clunk sweep --boundaries adds those of a grid of two axes.")
     stream.write((json.dumps(results.boundaries.geojson(), ensure_ascii=False) + "\n").encode())
 
 

@@ -88,7 +88,7 @@ def parse_override(text: str) -> tuple[Place, Any]:
     if _PLAIN_WORD.fullmatch(value) and value not in _WORDS_OF_TOML:
         return place, value
     try:
-        parsed = tomllib.loads(f"value = {value}")
+        parsed = tomllib.loads(f"value = {value}".encode().decode())  # bytes that are no text were escaped
     except (ValueError, RecursionError):
         parsed = {}
     if parsed.keys() != {"value"} or _is_too_deep(parsed):

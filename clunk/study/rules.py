@@ -323,6 +323,8 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
         columns[key] = draw.applied(numbers[:, None], np.array([around.min(), around.max()])).ravel()
         values = columns[key][_extremes(config, {key: columns[key]})].tolist()
         words = f"a draw makes {key} {{:.6g}} (low and high bound it)"
+        if np.isnan(values).any():
+            words = f"nothing can be drawn for {key}: its distribution has no number from low to high, or no median"
         drawn[key] = [{key: Given(value, ("sweep", table, k), words.format(value))} for value in values]
     yield from drawn.values()
 

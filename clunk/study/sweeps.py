@@ -160,15 +160,22 @@ class Draw(Varied):
         known = {"mean": middle, "median": middle} | self.model_dump(exclude_none=True)
         return {name: known[name] for names in _NUMBERS[self.distribution] for name in names if name in known}
 
+    @np.errstate(invalid="ignore")
     def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
-        """Quantiles of the drawn number at these probabilities, around the nominal value of its key."""
+        """Quantiles of the drawn number at these probabilities, around the nominal value of its key; NaN of none."""
         numbers = self.numbers(nominal)
         low, high = numbers.get("low"), numbers.get("high")
         distribution = _distribution(self.distribution, numbers)
         u = np.clip(probability, _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
-        below = 0.0 if low is None else distribution.cdf(low)
-        above = 0.0 if high is None else distribution.sf(high)
-        values = distribution.ppf(below + u * (1.0 - below - above))
+        below, within = 0.0 if low is None else distribution.cdf(low), 1.0 if high is None else distribution.cdf(high)
+        beyond, above = 1.0 if low is None else distribution.sf(low), 0.0 if high is None else distribution.sf(high)
+        if below > 0.5:  # by the probability above a number, which has the digits there
+            share, values = beyond - above, distribution.isf(beyond + u * (above - beyond))
+        else:
+            share = 1.0 - below - above if above <= 0.5 else within - below
+            values = distribution.ppf(below + u * share)
+        if not share > 0.0:
+            values = np.full_like(values, np.nan)  # none of the distribution is from low to high
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
         return np.clip(values, low, high) if (low, high) != (None, None) else values
 

@@ -8,7 +8,7 @@ from clunk.core.arrays import FloatArray
 from clunk.core.exact import curves, taylor
 from clunk.core.exact.curves import Origin
 from clunk.core.exact.flows import LONG
-from clunk.core.exact.workspace import Workspace, shortest_span, size_of
+from clunk.core.exact.workspace import Workspace, shortest_span
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
@@ -49,7 +49,7 @@ def gather_tables(space: Workspace, flow: int, items_per_run: int) -> None:
 @inlined_part
 def evaluate(space: Workspace, flow: int, f: int) -> tuple[curves.Curve, Vector]:
     """`curves.evaluate` of the runs taken."""
-    work, amplitudes, size = space.pool.work, space.amplitudes, size_of(space)
+    work, amplitudes, size = space.pool.work, space.amplitudes, space.behind
     if space.mixed != 0:
         gathered = OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
         return curves.evaluate(gathered, work, amplitudes, size)
@@ -106,7 +106,7 @@ def weighed(space: Workspace, weights: Table, first: int, stride: int, at: int) 
 @inlined_part
 def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: Origin) -> None:
     """`taylor.expand` of the runs taken, into `space.series`."""
-    size, shortest, series, work = size_of(space), shortest_span(space, flow), space.flows.series, space.pool.work
+    size, shortest, series, work = space.behind, shortest_span(space, flow), space.flows.series, space.pool.work
     if space.mixed != 0:
         gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.lane_table)
         taylor.expand(OfLanes(space.lane_table), work, size, shortest, sign, shift, at, space.series)

@@ -85,14 +85,11 @@ def take_margins_of_impacts(space: Workspace, slot: int, at: Moment, entry: Entr
     is_impact = system.impulsive != 0 and system.guards[row.regime, row.guard].event_kind == TOUCH
     for n in range(row.count, entry.written if is_impact else row.count):
         event = space.events[slot, n]
-        own, static = space.numbers[slot, lash_at(space, event.lash) :], space.static[slot, event.lash]
-        if event.kind != TOUCH or not static > 0.0:
-            continue
-        locks = system.contacts[entry.regime, event.lash].closed != 0
-        speed = system.restitution[event.lash] * abs(event.speed) / space.fastest[slot, event.lash]
-        if locks or speed < abs(own[rows.MARGIN]):
-            torque = abs(holding_torque(at, entry.regime, event.lash)[0]) / static
-            _take(own, -torque if locks else max(speed, torque))
+        if event.kind == TOUCH:
+            speed = system.restitution[event.lash] * abs(event.speed) / space.fastest[slot, event.lash]
+            torque = abs(holding_torque(at, entry.regime, event.lash)[0]) / space.static[slot, event.lash]
+            locks = system.contacts[entry.regime, event.lash].closed != 0
+            _take(space.numbers[slot, lash_at(space, event.lash) :], -torque if locks else max(speed, torque))
 
 
 @inlined_part

@@ -3,7 +3,7 @@
 from clunk.core.arrays import FloatArray
 from clunk.core.exact import functionals, rows
 from clunk.core.exact.flows import CROSS, PAIRS, SELF, TERMS
-from clunk.core.exact.workspace import Workspace, field, size_of
+from clunk.core.exact.workspace import Workspace, field
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
@@ -24,7 +24,7 @@ def to_coordinates(space: Workspace, flow: int) -> None:
 
 @part
 def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> None:
-    work, away, size, states = space.pool.work, space.moved, size_of(space), space.flows.coordinates.shape[2]
+    work, away, size, states = space.pool.work, space.moved, space.behind, space.flows.coordinates.shape[2]
     for k in range(states):
         vectors.store(away, k, vectors.load(work, k) - functionals.weighed(space, origins, k, size, space.inputs_at))
     for c in range(size):
@@ -37,7 +37,7 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
 @inlined_part
 def to_states(space: Workspace, flow: int, mask: int) -> None:
     """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
-    flows, size = space.flows, size_of(space)
+    flows, size = space.flows, space.behind
     if space.mixed != 0:
         count, origins = flows.basis[0, 0].size, flows.origin[0, 0].size
         functionals.gather(space, flows.origin, flow * origins, origins, space.lane_state_origins)
@@ -55,7 +55,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 @part
 def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
     """The states of the runs taken, into `space.moved`."""
-    work, size, elapsed = space.pool.work, size_of(space), field(space, rows.ELAPSED)
+    work, size, elapsed = space.pool.work, space.behind, field(space, rows.ELAPSED)
     order = space.system.input_count * size
     for n in range(space.flows.coordinates.shape[2]):
         at = functionals.weighed_origin(space, origins, n, size, order, space.inputs_at, False, elapsed)
@@ -68,7 +68,7 @@ def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
 @inlined_part
 def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> None:
     """Move each of the items taken by the span of the ladder with number k, or if `short` by a part of the shortest."""
-    size, flows, table = size_of(space), space.flows, space.flows.propagator
+    size, flows, table = space.behind, space.flows, space.flows.propagator
     if short and flows.modal[0, flow] == 0:
         functionals.gather(space, flows.generator, flow * size * size, size * size, space.lane_table)
         move_together(space.lane_table, part, space.pool.work, size, space.moved)

@@ -17,7 +17,6 @@ from clunk.core.exact.workspace import (
     lash_at,
     set_field,
     shortest_span,
-    size_of,
 )
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
@@ -49,7 +48,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
     sign, shift, inputs_at = field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT), space.behind + rows.OF_A_SEARCH
     for _ in range(_AT_ONCE):
         time_left, elapsed = field(space, rows.TIME_LEFT), field(space, rows.PHASE_TIME)
-        moving.measure(space.pool.work, size_of(space), space.amplitudes)
+        moving.measure(space.pool.work, space.behind, space.amplitudes)
         origin = functionals.origin(space, flow, f, inputs_at, elapsed)
         seen, _ = functionals.evaluate(space, flow, f)
         curve = curves.as_guard(seen, origin, sign, shift)

@@ -28,7 +28,6 @@ from clunk.core.exact.workspace import (
     set_field,
     set_field_of,
     shortest_span,
-    size_of,
     system_of,
 )
 from clunk.core.jit import inlined_part, part
@@ -70,7 +69,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     shortest, elapsed = shortest_span(space, flow), field(space, rows.ELAPSED)
     time_left = field(space, rows.LIMIT) - elapsed
 
-    moving.measure(pool.work, size_of(space), space.amplitudes)
+    moving.measure(pool.work, space.behind, space.amplitudes)
     _evaluate(space, regime, _START)
     kinks, at_most = 0, field(space, rows.TRY)
     settled = _stays(space, regime) & present if flows.steady[0, flow] != 0 else 0

@@ -4,7 +4,7 @@
 """
 
 import threading
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -106,24 +106,11 @@ class Workspace(NamedTuple):
     held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
 
 
-_latest = threading.local()  # `space`: the one of one driveline that a thread had last
+_latest = threading.local()  # `space`: the last workspace of one driveline that a thread had
 
 
 def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int) -> Workspace:
-    """Room for `slots` runs or more, as `make_workspace` has it: what this thread had last, where that fits."""
-    space: Workspace | None = getattr(_latest, "space", None)
-    fits = space and space.flows is flows and len(space.runs) > slots and space.events.shape[1] == capacity
-    if not space or not fits or space.states.shape[1] != states:
-        space = make_workspace(systems, flows, loads, slots, capacity, states)
-        _latest.space = None if space.mixed else space
-    space.pool.length[:] = 0  # runs that were stopped wait there
-    return space._replace(loads=loads)
-
-
-def make_workspace(
-    systems: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int
-) -> Workspace:
-    """Room for `slots` runs of so many events and states at them, none of which has begun.
+    """Room for `slots` runs of so many events and states at them, none of which has begun: where it fits the latest.
 
     Parameters
     ----------
@@ -133,6 +120,11 @@ def make_workspace(
         Of all drivelines, with an axis in front.
     loads : (loads, P, PIECE) float64
     """
+    space: Any = getattr(_latest, "space", None)
+    fits = space and space.flows is flows and len(space.runs) > slots and space.events.shape[1] == capacity
+    if fits and space.states.shape[1] == states:
+        space.pool.length[:] = 0  # runs that were stopped wait there
+        return space._replace(loads=loads)
     system, size, most = driveline_at(systems, 0), flows.basis.shape[3], systems.guards.shape[1]
     drivelines, count = flows.watch.shape[:2]
     mixed = int(drivelines > 1)
@@ -145,7 +137,7 @@ def make_workspace(
     lashes, driven = system.lash_count, system.input_count
     inputs_at = size + rows.shift(most, lashes)
     of_a_run, searches = inputs_at + driven, lashes + most + 1
-    return Workspace(
+    space = Workspace(
         system=system,
         systems=rows_of(system, systems),
         flows=flows,
@@ -189,6 +181,9 @@ def make_workspace(
         lane_table=aligned(size * max(size, LONG)),
         held=np.zeros((lashes, 2)),
     )
+    if not mixed:
+        _latest.space = space
+    return space
 
 
 @inlined_part
@@ -201,12 +196,6 @@ def system_at(space: Workspace, driveline: int) -> System:
 def system_of(space: Workspace, slot: int) -> System:
     """The system of a run's driveline."""
     return system_at(space, space.runs[slot].driveline)
-
-
-@inlined_part
-def size_of(space: Workspace) -> int:
-    """The number of coordinates."""
-    return space.flows.basis.shape[3]
 
 
 @inlined_part
