@@ -18,7 +18,6 @@ point. Where a line is not located, its place is kept as unresolved.
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from clunk.analysis.search import POINT, TOLERANCE, Points, narrow, with_hidden
 from clunk.study.arrays import Bools, Codes, Floats, Nodes
@@ -151,6 +150,8 @@ class Crossings:
     """
 
     def __init__(self, brackets: Floats, outcomes: Codes) -> None:
+        from scipy.spatial import KDTree  # a third of a second: only where lines are traced
+
         self._places = np.repeat(brackets.mean(axis=1), 2, axis=0)
         self._ways = np.diff(brackets[:, [0, 1, 0]], axis=1).reshape(-1, 2)
         sides = np.stack([outcomes, outcomes[:, ::-1]], axis=1).reshape(-1, 2)

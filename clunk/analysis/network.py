@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from clunk.results.boundaries import NO_LABEL
 from clunk.study.arrays import Codes, Floats, LabelCodes
@@ -65,6 +64,8 @@ def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
 
     The labels are rows of ascending codes, with `NO_LABEL` behind them.
     """
+    from scipy.spatial import KDTree
+
     near = KDTree(points).query_ball_point(points, SAME, p=np.inf) if len(points) else []
     first: dict[int, int] = {}  # of those at the same place, of each
     for k, same in enumerate(near):
