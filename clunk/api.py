@@ -20,7 +20,6 @@ from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, ConfigError
-from clunk.study.models import lash_position
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress, reporting, shown
@@ -100,9 +99,7 @@ def sweep(
     """
     if study.swept.tolerances:
         raise ClunkError(sweeping.HAS_TOLERANCES)
-    traces = is_traced(study, boundaries)
-    if traces:
-        lash_position(lash, study.lash_names)
+    traces = is_traced(study, boundaries, lash)
     engine = sweeping.engine_of(scheduler, workers)
 
     def trace(results: AnyMap) -> AnyMap:

@@ -55,11 +55,11 @@ def require_boundaries(study: Study) -> None:
         check_axis(study, axis, "boundaries")
 
 
-def is_traced(study: Study, asked: bool | None) -> bool:
+def is_traced(study: Study, asked: bool | None, lash: str | int | None) -> bool:
     """Whether a sweep of a study traces the boundaries of its map.
 
     It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises
-    ClunkError where they are asked for and the map has none.
+    ClunkError where they are asked for and the map has none, and ConfigError where it has no such lash.
     """
     if asked is None:
         asked = study.swept.boundaries
@@ -70,6 +70,8 @@ def is_traced(study: Study, asked: bool | None) -> bool:
         if asked:
             raise
         return False
+    if asked is not False:
+        lash_position(lash, study.lash_names)
     return asked is not False
 
 

@@ -58,12 +58,9 @@ def sweep(
     """
     from clunk.analysis.boundaries import is_traced
     from clunk.results import files
-    from clunk.study.models import lash_position
 
-    traces = is_traced(study, boundaries)
-    if traces:
-        lash_position(lash, study.lash_names)
-    elif lash is not None:
+    traces = is_traced(study, boundaries, lash)
+    if lash is not None and not traces:
         raise click.UsageError("--lash goes with --boundaries: a map has all lashes.")
     target = output or Path("results") / f"{config.stem}.h5"
     files.check(target, files.RESULTS, reads=config)

@@ -105,7 +105,7 @@ class Runner:
             )
         known = np.concatenate([values, self._allowed])
         ends = np.stack([known.min(axis=0), known.max(axis=0)])
-        together = len(self.grid.structural) > 1  # two that are sound may not be so together
+        together = bool(self.grid.structural)  # two that are sound may not be so together, nor what is between them
         if together or not np.array_equal(ends, self._allowed):
             try:
                 design_of_points(self.study, dict(zip(self.keys, (known if together else ends).T, strict=True)))
