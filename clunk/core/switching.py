@@ -121,6 +121,7 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
     for lash in range(system.lash_count):
         course = log.courses[lash]
         course.last_side, course.contact_began, course.from_sticking = contacts[lash].side, -np.inf, 0
+        course.margin = np.inf
     set_gaps(system, start.before, inputs)
     rubbing.stick_all(system, start.x, inputs)
     begin_wave(system, load, piece, start.x)

@@ -3,10 +3,12 @@
 Positive, what did not happen: the least distance to a flank at a turning point inside an open phase, as a share of the
 whole gap; the least overlap of the flanks (restitution: the torque that holds) at a turning point inside a contact
 phase later than the sticking time after the touch, as a share of its static value under the torque after the load step;
-of rigid flanks that rebound the larger of their speed, as a share of the fastest touch's, and of that torque. Negative,
-what did: how deep a primary touch, or the end of sticking (by force: the opening), would go until it turned back, were
-the guard not to act; of a lock the torque that holds; and one less the age over the sticking time, of either sign, for
-every separation.
+of rigid flanks that rebound, and touch again on the same side, the larger of their speed, as a share of the fastest
+touch's, and of that torque.
+
+Negative, what did: how deep a primary touch, or the end of sticking (by force: the opening), would go until it turned
+back, were the guard not to act; of a lock, before a touch on the same side, the torque that holds; and one less the age
+over the sticking time, of either sign, for every separation.
 """
 
 from bisect import bisect_right
@@ -104,20 +106,22 @@ def candidates(plant, events, end, sticking):
     flow = reference.Flow(plant)
     gap, static = plant.backlash, static_contact(plant)
     rigid = plant.restitution is not None
-    by_force, fastest = plant.separation == "force" and not rigid, 0.0
+    by_force = plant.separation == "force" and not rigid
+    fastest, last_touched, lock = 0.0, events[0].side, MOST
     began, last_side, every, stuck = -np.inf, events[0].side, [], False
     for event, following in zip(events, [*events[1:], None], strict=True):
         if event.kind in ("touch", "lock"):
             began, last_side = event.time, event.side
         (mode,) = event.modes
         if event.kind == "touch" and rigid and static > 0.0:
-            fastest = max(fastest, abs(event.speed))
+            if event.side == last_touched:
+                every.append(Candidate(lock, "lock before", event.time))
+            fastest, last_touched = max(fastest, abs(event.speed)), event.side
             k = max(bisect_right([piece.begin for piece in flow.pieces], event.time) - 1, 0)
             row = _holding(flow, k, Mode("closed", event.side)).row
             torque = abs(float(row @ flow.augmented(event.coordinates, k, event.time))) / static
-            locks = following is not None and following.kind == "lock"
             slow = max(plant.restitution * abs(event.speed) / fastest, torque)
-            every.append(Candidate(-torque if locks else slow, "lock" if locks else "rebound", event.time))
+            lock = -torque if following is not None and following.kind == "lock" else slow
         length = (following.time if following else end) - event.time
         scale = gap if mode == OPEN else static
         if mode.name != "parted" and length > 0.0 and scale > 0.0:

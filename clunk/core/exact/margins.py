@@ -3,11 +3,11 @@
 It is the smallest in size of
 
 - positive, what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the whole
-  gap; and where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
-  torque that locks them), as a share of its value at rest; where rigid flanks rebound, the larger of their speed, as a
-  share of the fastest touch's, and of that torque, likewise;
+  gap; where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
+  torque that locks them), as a share of its value at rest; and where rigid flanks rebound, and touch again on the same
+  side, the larger of their speed, as a share of the fastest touch's, and of that torque, likewise;
 - negative, what did: how much further a primary touch, or the end of a sticking contact, would have gone, were the
-  contact not to change; of a lock, the torque that holds the flanks, as such a share;
+  contact not to change; where rigid flanks lock, and touch again on the same side, the torque that locks them;
 - of either sign: 1 - (length of a contact)/(sticking time), at each separation.
 
 The turns of guards, and how deep they would go, `search` finds within a step.
@@ -64,32 +64,34 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
     """Take what the event that ended a run's phase says of the margin of its lash."""
     system, row = at.system, space.runs[slot]
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
-    if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
-        return
     course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
-    if guard.event_kind == SEPARATION:
+    if guard.event_kind == TOUCH and guard.side == course.last_side:
+        _take(own, course.margin)
+    elif guard.event_kind == SEPARATION:
         _take(own, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
-    elif is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
+    elif guard.event_kind == REJOIN and is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
         _take(own, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / space.static[slot, lash])
 
 
 @inlined_part
-def take_margins_of_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
-    """Take what the event that a run has switched by says, where it was a touch of rigid flanks, or several.
+def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
+    """Note how near rigid flanks that have just touched are to locking, or to not doing so: COURSE's `margin`.
 
     Between flanks that lock and those that rebound until they part lies a touch after which they are as slow, and as
     slightly held, as at a lock.
     """
     system, row = at.system, space.runs[slot]
-    is_impact = system.impulsive != 0 and system.guards[row.regime, row.guard].event_kind == TOUCH
-    for n in range(row.count, entry.written if is_impact else row.count):
+    if system.impulsive == 0 or system.guards[row.regime, row.guard].event_kind != TOUCH:
+        return
+    for n in range(row.count, entry.written):
         event = space.events[slot, n]
+        lash = event.lash
         if event.kind == TOUCH:
-            speed = system.restitution[event.lash] * abs(event.speed) / space.fastest[slot, event.lash]
-            torque = abs(holding_torque(at, entry.regime, event.lash)[0]) / space.static[slot, event.lash]
-            locks = system.contacts[entry.regime, event.lash].closed != 0
-            _take(space.numbers[slot, lash_at(space, event.lash) :], -torque if locks else max(speed, torque))
+            speed = system.restitution[lash] * abs(event.speed) / space.fastest[slot, lash]
+            torque = abs(holding_torque(at, entry.regime, lash)[0]) / space.static[slot, lash]
+            locks = system.contacts[entry.regime, lash].closed != 0
+            space.courses[slot, lash].margin = -torque if locks else max(speed, torque)
 
 
 @inlined_part
@@ -107,16 +109,13 @@ def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
     """
     system, regime = at.system, space.runs[slot].regime
     for lash in range(system.lash_count if system.impulsive != 0 else 0):
-        contact, own = system.contacts[regime, lash], space.numbers[slot, lash_at(space, lash) :]
-        scale = own[rows.SCALE]
-        if contact.closed == 0 or not scale > 0.0:
-            continue
-        torque, slope = space.held[lash, 0], space.held[lash, 1]
-        torque_after, slope_after, _ = holding_torque(at, regime, lash)
-        jump, rounding = contact.side * (torque_after - torque), GRAZING * scale
-        falls = contact.side * slope < 0.0 or jump < -rounding
-        rises = contact.side * slope_after > 0.0 or jump > rounding
-        least = min(contact.side * torque, contact.side * torque_after) / scale
+        side, own = system.contacts[regime, lash].side, space.numbers[slot, lash_at(space, lash) :]
+        before, slope = side * space.held[lash, 0], side * space.held[lash, 1]
+        after, slope_after, _ = holding_torque(at, regime, lash)
+        jump, rounding = side * after - before, GRAZING * own[rows.SCALE]
+        falls = slope < 0.0 or jump < -rounding
+        rises = side * slope_after > 0.0 or jump > rounding
+        least = min(before, side * after) / own[rows.SCALE]
         if falls and rises and least >= 0.0:
             _take(own, least)
 

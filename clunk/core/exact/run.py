@@ -19,9 +19,9 @@ from clunk.core.exact import functionals, moving, rows
 from clunk.core.exact.margins import (
     MOST,
     note_holding,
+    note_impacts,
     set_static,
     take_margin_of_event,
-    take_margins_of_impacts,
     take_margins_of_load,
 )
 from clunk.core.exact.search import search
@@ -202,7 +202,7 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
             copy(log.extremes[row.count - 1, lash], own)  # to WINDOW_MAX and WINDOW_MIN
     entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
     row.stages += entry.written == row.count  # one that is not written, which takes no room for events
-    take_margins_of_impacts(space, slot, at, entry)
+    note_impacts(space, slot, at, entry)
     _take_events(space, slot, row.count, entry.written)
     return entry
 
