@@ -8,7 +8,7 @@ from helpers import reference
 from helpers.reference import Lash, Plant
 
 import clunk
-from clunk.core.events import TOUCH
+from clunk.core.events import LOCK, TOUCH
 from clunk.core.status import Status
 from clunk.simulation.driveline import build
 from clunk.simulation.trajectory import simulate
@@ -199,3 +199,22 @@ def test_rigid_lashes_that_share_a_torque_are_refused():
     )
     with pytest.raises(ClunkError, match="in a ring"):
         simulate(study_of(ring))
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_without_a_gap_flanks_that_a_jump_of_the_load_parts_change_sides_once(method):
+    """As with a gap so small that it takes a microsecond: they do not part again before their torque turns."""
+    plant = Plant(
+        inertias=(0.003, 0.02),
+        shafts=((1, "ground", 31.3, 0.05), (2, "ground", 31.3, 0.05)),
+        lash=(),
+        other_lashes=(Lash((1, 2), 0.0, 1.0, restitution=0.5),),
+        before=6.0,
+        after=-6.0,
+        acceleration_of=1,
+    )
+    none = simulate(study_of(plant, method))
+    small = simulate(study_of(replace(plant, other_lashes=(plant.other_lashes[0]._replace(backlash=1e-11),)), method))
+    assert none.label == small.label
+    locks = [run.events["time"][run.events["kind"] == LOCK] for run in (none, small)]
+    assert locks[0] == pytest.approx(locks[1], abs=1e-4)  # s: a gap of 1e-11 rad is crossed in less

@@ -45,11 +45,11 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     regime = opened(system, _resting_on(at, log, regime, count), lash)
     slowest, before = _locking_speed(at, regime, lash, fastest[lash]), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
-    held = held_with(system, regime, lash)
+    held = closed = held_with(system, regime, lash)
     if held != 0 and abs(speed) > slowest:
         held = _held_through(system, regime, lash, side, at.inputs)
     for other in range(system.lash_count):
-        if system.contacts[before, other].closed != 0 and not held >> other & 1:
+        if (closed & ~held) >> other & 1:
             _part_by(ROUNDING, at, held, other, system.contacts[before, other].side)
             regime = opened(system, regime, other)
     events = log.events
@@ -68,7 +68,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
         record(at, log, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
         count += 1
     for other in range(system.lash_count):
-        if system.contacts[before, other].closed != 0 and not held >> other & 1:
+        if (closed & ~held) >> other & 1:
             record(at, log, count, 0.0, SEPARATION, regime, other, system.contacts[before, other].side)
             count += 1
     if rebounds:
@@ -188,7 +188,11 @@ def release(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
     successor = free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * system.regime_strides[lash]
     record(at, log, count + 1, 0.0, TOUCH, free, lash, -side)
     record(at, log, count + 2, 0.0, LOCK, successor, lash, -side)
-    return Entry(count + 3, successor, guard_of(system, successor, row.functional, -row.sign), 1)
+    torque, slope, scale = holding_torque(at, successor, lash)
+    # a jump of the load leaves a torque, which presses the other flank; else it is zero there
+    jumps = abs(torque) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time)
+    zero_guard = -1 if jumps else guard_of(system, successor, row.functional, -row.sign)
+    return Entry(count + 3, successor, zero_guard, 1)
 
 
 @part
@@ -217,7 +221,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
 def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
     """The regime with those lashes closed that have not separated, as the log tells, and whose flanks others hold."""
     system, events = at.system, log.events
-    for lash in range(system.lash_count if system.friction_count > 0 and system.impulsive != 0 else 0):
+    for lash in range(system.lash_count * system.impulsive if system.friction_count > 0 else 0):
         if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(at, regime, lash):
             last = count - 1
             while last > 0 and events[last].lash != lash:
@@ -239,10 +243,11 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
     if system.impulsive == 0:
         return entry
     held = held_with(system, entry.regime, -1)
-    stays = held | touched
+    parting = held_with(system, before, -1) & ~held
+    separating = parting & ~touched
     for lash in range(system.lash_count):
         side = system.contacts[before, lash].side
-        if system.contacts[before, lash].closed == 0 or held >> lash & 1:
+        if not parting >> lash & 1:
             continue
         is_carried = rubbing.is_carried(at, entry.regime, lash)
         if not is_carried and first < 0 and entry.zero_guard < 0:
@@ -252,11 +257,10 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
             _part_by(_APART, at, held, lash, side)
         if is_carried:
             rubbing.stick_all(system, x, at.inputs)
-            stays |= 1 << lash
+            separating &= ~(1 << lash)
     for lash in range(system.lash_count):
-        contact = system.contacts[before, lash]
-        if contact.closed != 0 and not stays >> lash & 1:
-            record(at, log, count, 0.0, SEPARATION, entry.regime, lash, contact.side)
+        if separating >> lash & 1:
+            record(at, log, count, 0.0, SEPARATION, entry.regime, lash, system.contacts[before, lash].side)
             count += 1
     if first < 0:
         return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)
@@ -296,9 +300,9 @@ def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, fl
 @part
 def keep_locked(system: System, regime: int, x: FloatArray, inputs: FloatArray) -> None:
     """Bring the locked flanks of several lashes back to each other, from which rounding drives them step by step."""
-    for lash in range(system.lash_count if system.impulsive != 0 and system.lash_count > 1 else 0):
+    for lash in range(system.lash_count * system.impulsive):
         contact = system.contacts[regime, lash]
-        if contact.closed != 0:
+        if contact.closed != 0 and system.lash_count > 1:
             _hold(system, held_with(system, regime, lash), lash, x, contact.side * inputs[gap_input(lash)])
 
 

@@ -94,7 +94,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     count, event, resting, locked, sticking = system.friction_count, -1, 0, 0, _sticking_in(system, regime)
     if ended >= 0:  # functionals of frictions are the last
         event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
-    for lash in range(system.lash_count if system.impulsive != 0 else 0):  # one without a gap has always a flank
+    for lash in range(system.lash_count * system.impulsive):  # one without a gap has always a flank
         locked |= (system.contacts[resting_on, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
     if ended < 0 and fits(at, regime, resting_on, locked):
         return regime, -1, 0

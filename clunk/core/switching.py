@@ -12,7 +12,6 @@ from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
 from clunk.core.regimes import (
     System,
-    gap_input,
     guard_of,
     lash_of,
     speed_of,
@@ -134,16 +133,12 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
 def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock.
 
-    With these, each other lash may part where it is closed, or touch and lock where it is open. And whether changes of
-    stage that are not written are not too many.
+    With these, each other rigid lash may part where it is closed, or touch and lock where it is open. And whether
+    changes of stage that are not written are not too many.
     """
-    system, most = at.system, 1
-    if system.impulsive != 0:
-        for lash in range(system.lash_count):
-            most = max(most, 2 if at.inputs[gap_input(lash)] > 0.0 else 3)
-        most += 2 * (system.lash_count - 1)
-    if system.friction_count > 0:  # one of them may begin to slip
-        most += 1
+    system = at.system
+    # and one of the frictions may begin to slip
+    most = 1 + 2 * system.lash_count * system.impulsive + (system.friction_count > 0)
     return count + most <= log.events.size and stages <= MOST_STAGES
 
 

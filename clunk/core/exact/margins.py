@@ -97,7 +97,7 @@ def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
 @inlined_part
 def note_holding(space: Workspace, slot: int, at: Moment) -> None:
     """Note the torques that lock rigid flanks, and their rates of change, before another piece of the load begins."""
-    for lash in range(at.system.lash_count if at.system.impulsive != 0 else 0):
+    for lash in range(at.system.lash_count * at.system.impulsive):
         space.held[lash, 0], space.held[lash, 1], _ = holding_torque(at, space.runs[slot].regime, lash)
 
 
@@ -108,7 +108,7 @@ def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
     There the torque that locks them may jump or bend, and be least: a miss that no step sees.
     """
     system, regime = at.system, space.runs[slot].regime
-    for lash in range(system.lash_count if system.impulsive != 0 else 0):
+    for lash in range(system.lash_count * system.impulsive):
         side, own = system.contacts[regime, lash].side, space.numbers[slot, lash_at(space, lash) :]
         before, slope = side * space.held[lash, 0], side * space.held[lash, 1]
         after, slope_after, _ = holding_torque(at, regime, lash)

@@ -353,7 +353,10 @@ def _first_zero(
     lost = near & ~(start - start == 0.0)
     near &= ~lost
     within = vectors.larger(noise, GRAZING * scale)
-    order = vectors.choose((order == 0.0) & (start <= noise) & (start >= -within), 1.0, order)
+    starts = (order == 0.0) & (start <= noise) & (start >= -within)
+    # rigid flanks that part at rest, while others rebound
+    rests = starts & -space.system.impulsive & (vectors.magnitude(vectors.load(c, 1)) <= 4.0 * noise)
+    order = vectors.choose(rests, 2.0, vectors.choose(starts, 1.0, order))
     for n in range(3):  # zeros at the beginning are divided out
         shifted = order > float(n)
         if shifted == 0:

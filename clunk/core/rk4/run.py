@@ -130,6 +130,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 index, offset = 0, 0.0
                 break
         written = entry.written
+        rigid.keep_locked(system, entry.regime, x, inputs)
         if guard < 0:  # another piece of the load
             at = Moment(system, begin, x, inputs)
             if system.friction_count > 0 and not may_switch(at, log, written, stages):
