@@ -282,11 +282,10 @@ def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
 def _locking_speed(at: Moment, regime: int, lash: int, fastest: float) -> float:
     """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding."""
     tolerance = at.system.locking_speed[lash]
-    tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest
     # a rebound lower than the rounding of the gap cannot be followed
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
     _, place = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
-    return max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
+    return max(tolerance, -tolerance * fastest, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
 
 
 @part

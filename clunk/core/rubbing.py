@@ -123,8 +123,12 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             elif not clearly:
-                fastest = _rate(system, system.frictions[k], 0.0, x)[1] + _MOMENT * size
-                _set_off(system, k, _KICK * way * fastest, x)
+                row, weights, n = system.frictions[k], 0.0, system.inertias
+                kick = _KICK * way * (_rate(system, row, 0.0, x)[1] + _MOMENT * size)
+                for j in range(n, 2 * n):
+                    weights += row[j] ** 2
+                for j in range(n, 2 * n):
+                    x[j] += kick * row[j] / weights
     return best, zero_guard, zero_order
 
 
@@ -298,13 +302,3 @@ def is_carried(at: Moment, regime: int, lash: int) -> bool:
     rate, most = _rate(system, system.lashes[lash], 0.0, at.x)
     held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
     return system.friction_count > 0 and held and rests and abs(rate) <= _WITHIN * most
-
-
-@part
-def _set_off(system: System, friction: int, rate: float, x: FloatArray) -> None:
-    """Add a rate of twist  [rad/s] across a friction to a state, along the friction's row."""
-    weights = 0.0
-    for k in range(system.inertias, 2 * system.inertias):
-        weights += system.frictions[friction, k] ** 2
-    for k in range(system.inertias, 2 * system.inertias):
-        x[k] += rate * system.frictions[friction, k] / weights
