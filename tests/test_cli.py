@@ -481,3 +481,14 @@ def test_a_stream_that_is_closed_takes_what_is_written(tmp_path, closed):
     code = f"import sys; sys.{closed} = None; sys.argv[:] = ['clunk', 'help', 'config']; import clunk.cli as program"
     done = subprocess.run([sys.executable, "-c", f"{code}; program.main()"], capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_what_is_to_be_written_is_written_though_nobody_reads_on(tmp_path):
+    """As ``| head -1`` does not."""
+    command = [sys.executable, "-m", "clunk", "simulate", ROOT / "configs/nominal.toml", "-o", "run.csv"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    _, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors) == (0, b"-> run.csv\n")
+    assert (tmp_path / "run.csv").stat().st_size > 1000

@@ -75,7 +75,7 @@ class Difference(Record):
     quantity: str = told("quantity")
     difference: float = told("difference", form=".1e")
     unit: str = told("unit")
-    over_largest: float = told("over largest", form=".1e")
+    over_largest: float = told("share", form=".1e")
     at: dict[str, float | str] = told("at")
 
 

@@ -191,7 +191,9 @@ class Problem:
         if self.optimize.minimize in parameters:
             numbers = np.tile(parameters[self.optimize.minimize][:, None], shape[2])
         elif self.optimize.minimize == RELEASE_TIME:
-            numbers = worst(self._release_times(self._columns(candidates, shape)))
+            runs = math.prod(shape)
+            loads = cases_of(self.study, self._columns(candidates), runs).loads
+            numbers = worst(np.broadcast_to(loads[:, -1, BEGIN], runs))
         value = np.sort(numbers, axis=1)[:, self._needed - 1]
         holds = lacks == 0.0
         share = holds.mean(axis=1)
@@ -202,8 +204,7 @@ class Problem:
 
     def _run(self, candidates: Floats) -> Floats:
         """Margin, numbers, and how far each condition is from being met, in all runs of candidates, (n, runs, each)."""
-        columns = self._columns(candidates, (len(candidates), *self.shape))
-        results = self._runner(self._runner.values(columns)).of_lash(self._lash)
+        results = self._runner(self._runner.values(self._columns(candidates))).of_lash(self._lash)
         self.runs += results.sequence.size
         if self.progress is not None:
             self.progress(self.runs, max(self.runs, self.most))
@@ -228,17 +229,13 @@ class Problem:
         value = np.minimum(outcomes.value / self.size, 1e300)
         return np.where(outcomes.excess > 0.0, 1.0 + outcomes.excess, value / (1.0 + np.abs(value)) - 1e-9)
 
-    def _columns(self, candidates: Floats, shape: tuple[int, ...]) -> dict[str, Floats]:
+    def _columns(self, candidates: Floats) -> dict[str, Floats]:
         """Values of all keys in the runs of candidates, for each its cells, and in each cell its draws."""
         columns = {key: values[:, None, None] for key, values in self.parameters(candidates).items()}
         columns |= {key: values[:, None] for key, values in self._cells.items()}
         columns = with_draws(self.study, columns, self._tolerances, self._drawn)
+        shape = len(candidates), *self.shape
         return {key: np.broadcast_to(values, shape).ravel() for key, values in columns.items()}
-
-    def _release_times(self, columns: dict[str, Floats]) -> Floats:
-        """Times from which on the load rests, in the runs [s]."""
-        count = len(next(iter(columns.values())))
-        return np.broadcast_to(cases_of(self.study, columns, count).loads[:, -1, BEGIN], count)
 
 
 @contextmanager
@@ -298,10 +295,13 @@ def optimize(
     >>> best.value < 0.1275  # s
     True
     """
+    from scipy.stats import qmc
+
     problem, explored, found = Problem(study, lash, workers, shown), [], []
     with reporting(progress, problem.most, problem.study, what="runs at most") as problem.progress:
         try:
-            points = _explored(problem)
+            design = qmc.Sobol(problem.low.size, seed=np.random.default_rng(problem.optimize.seed))
+            points = qmc.scale(design.random(problem.explored), problem.low, problem.high)
             outcomes = problem(points)
             if not math.isfinite(problem.size):  # the config as it is fails
                 problem.size = float(np.median(np.abs(np.nan_to_num(outcomes.value, posinf=1.0)))) or 1.0
@@ -337,14 +337,6 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
         stopped.args = (Front(tuple(points)),)
         raise
     return Front(tuple(each for each in points if each.holds))
-
-
-def _explored(problem: Problem) -> Floats:
-    """Points that fill the space of the free numbers, (n, parameters)."""
-    from scipy.stats import qmc
-
-    design = qmc.Sobol(problem.low.size, seed=np.random.default_rng(problem.optimize.seed))
-    return qmc.scale(design.random(problem.explored), problem.low, problem.high)
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:

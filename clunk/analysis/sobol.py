@@ -171,7 +171,13 @@ def sensitivity(
             f"A draw is not allowed: {error.problems[0].key}, {error.problems[0].message}; bound its distribution with "
             "low and high."
         ) from None
-    _refuse_failures(runs)
+    failed = np.flatnonzero(runs.status != Status.OK)
+    if failed.size:
+        where = ", ".join(f"{axis.parameter} = {axis.values[failed[0]]:.6g}" for axis in runs.coordinates)
+        raise ClunkError(
+            f"{failed.size:,} of {runs.status.size:,} runs failed, and the indices need all of them. The first is at "
+            f"{where}: {Status(runs.status[failed[0]]).sentence}."
+        )
     label = str(runs.label_map[-1])
     indices = tuple(
         _indices(each.named(label), runs, parameters, (n, pages), point.swept.sampling.seed) for each in quantities
@@ -247,16 +253,6 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
     ends = np.quantile(resampled, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE], axis=0)
     first, total = estimate(np.arange(n))
     return first, total, ends[:, 0], ends[:, 1]
-
-
-def _refuse_failures(results: Results) -> None:
-    failed = np.flatnonzero(results.status != Status.OK)
-    if failed.size:
-        where = ", ".join(f"{axis.parameter} = {axis.values[failed[0]]:.6g}" for axis in results.coordinates)
-        raise ClunkError(
-            f"{failed.size:,} of {results.status.size:,} runs failed, and the indices need all of them. The first is "
-            f"at {where}: {Status(results.status[failed[0]]).sentence}."
-        )
 
 
 def _indices(

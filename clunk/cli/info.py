@@ -6,7 +6,7 @@ import click
 
 from clunk.cli import tables
 from clunk.cli.options import file_argument, json_option
-from clunk.study.records import fill
+from clunk.study.records import fill, table
 
 
 @click.command()
@@ -59,7 +59,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     if boundaries is not None:
         if boundaries.meetings:
             click.echo()
-            tables.print_table(boundaries.meeting_rows())
+            click.echo("\n".join(table(boundaries.meeting_rows())))
         if boundaries.unresolved_sentence:
             click.echo(fill(boundaries.unresolved_sentence))
     for caveat in results.caveats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from contextlib import contextmanager
@@ -41,8 +42,18 @@ class _SafeStream:
     def __init__(self, stream: TextIO) -> None:
         self.direct = stream
 
-    def write(self, text: str) -> int:
-        return self.direct.write(safe(text))
+    def write(self, text: str) -> int | None:
+        return self._passed(self.direct.write, safe(text))
+
+    def flush(self) -> None:
+        self._passed(self.direct.flush)
+
+    def _passed(self, call: Any, *arguments: Any) -> Any:
+        """Call the stream. Once its reader has gone, as of `| head`, what is printed goes nowhere."""
+        try:
+            return call(*arguments)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.direct.fileno())
 
     def __getattr__(self, name: str) -> Any:
         if name == "buffer":

@@ -20,7 +20,7 @@ from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
 from clunk.plot.plane import View, cell_edges, scale_panels, value_text
 from clunk.plot.style import INK, LINE_COLOURS, Look
-from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.labels import FAILED, FAILED_CODE, primary_impacts
 from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.parameters import quantity
@@ -155,7 +155,7 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
     scale_panels(figure, [ax], (x, thresholds.along))
     fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis) == 1]
     notes = []
-    for code in sorted(seen):
+    for code in sorted(seen, key=lambda code: (primary_impacts(str(thresholds.word(code))), code)):
         notes.append(style.swatch(words(thresholds.word(code)), [*fills, style.FAILED_FILL][code]))
     line = "; ".join([f"{drawn}: {plain.outcome.heading_with_unit}", *fixed])
     style.lay_out(figure, ax, study.title, line, [*notes, *(curves if nominal else [])])

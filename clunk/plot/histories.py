@@ -30,7 +30,7 @@ _PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 
 _CLOSE, _BEFORE, _TICK = 0.1, 0.03, 0.01  # s: of a close-up, of it before the impact, and between its ticks
 _GAP_FILL = "#e4e4e4"
 _LEAST = 1e-6  # mm, of a coordinate: locked flanks stay together but for rounding, which is nothing to look at
-_LABELLED = 12  # impacts; more arrows than these would hide the curve
+_LABELLED = 6  # impacts; more arrows than these would hide the curve, and each other
 
 
 @style.styled()

@@ -193,6 +193,7 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
 @styled()
 def strip(layers: Layers) -> Figure:
     """The labels along one swept axis, of draws the most likely ones, as a coloured strip over a quantity's curve."""
+    layers = replace(layers, undecided=layers.undecided & False)  # nothing is blurred
     samples, (edges, _) = layers.view.x.values, layers.bands
     figure = new_figure()
     band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
@@ -242,7 +243,7 @@ def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: f
     if layers.view.places:
         colours = cell_colours(layers, shades) / 255.0
         count = len(colours)
-        points: Look = {"edgecolors": INK, "linewidths": 0.2, "rasterized": count > MOST_POINTS}
+        points: Look = {"edgecolors": INK, "linewidths": min(0.2, 40.0 / count), "rasterized": count > MOST_POINTS}
         across, upward = (*layers.view.places, layers.values)[:2]  # over one axis y is the quantity
         ax.scatter(across, upward, s=max(2.0, 40.0 - 0.1 * count), c=colours, **points)
         ax.margins(0.03)

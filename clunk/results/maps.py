@@ -329,7 +329,7 @@ class Results(Map):
 
         Raises
         ------
-        ValueError
+        ClunkError
             Where an axis is not named, or something that is none; or a value lies beyond an axis.
 
         Examples

@@ -112,11 +112,7 @@ def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]
         return
     steps = np.broadcast_to(line.varied.get(("solver", "step"), study.solver.step), count)
     for k in range(count):
-        yield np.array([k]), _by_rk4(batch.at([k]), steps[k])
-
-
-def _by_rk4(batch: Batch, step: float) -> Batch:
-    """A batch of one driveline with the tables of RK4."""
-    assert isinstance(batch.tables, Flows)
-    system, steps = build_steps(batch.system, Flows._make(table[0] for table in batch.tables), step)
-    return Batch(driveline_at(system, None), steps, batch.channels)
+        one = batch.at([k])
+        assert isinstance(one.tables, Flows)
+        system, tables = build_steps(one.system, Flows._make(table[0] for table in one.tables), steps[k])
+        yield np.array([k]), Batch(driveline_at(system, None), tables, one.channels)
