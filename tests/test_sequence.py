@@ -18,7 +18,7 @@ def primaries(*happened, initial=-1, sticking_time=STICKING):
     events[0]["kind"], events[0]["lash"] = LOAD_STEP, -1
     for k, (time, kind, side) in enumerate(happened, start=1):
         events[k]["time"], events[k]["kind"], events[k]["side"] = time, kind, side
-    course = np.array([(initial, 0, -np.inf)], COURSE).view(np.recarray)[0]
+    course = np.array([(initial, 0, -np.inf, np.inf)], COURSE).view(np.recarray)[0]
     return [k for k, event in enumerate(events.view(np.recarray)) if take_event(course, event, sticking_time)]
 
 
