@@ -17,7 +17,7 @@ from clunk.core.sequence import INITIAL
 from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
 from clunk.results.maps import Results
 from clunk.results.quantities import REGIME_QUANTITIES
-from clunk.study.arrays import Bools, Codes, Floats, Positions, Records
+from clunk.study.arrays import Codes, Floats, Positions, Records
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
 from clunk.study.models import Fit
@@ -220,7 +220,8 @@ class Fitted(Record):
         spans = np.maximum(np.ptp(self.points, axis=0), 1e-300)
         for group in np.unique(groups):
             out = groups == group
-            weights = weights_of(losses(self.matches, self.wanted, self.fit, ~out), self.log_density)
+            rest = np.flatnonzero(~out)  # `take` does with records in a tenth of the time what indexing does
+            weights = weights_of(losses(self.matches.take(rest, 1), self.wanted[rest], self.fit), self.log_density)
             effective = min(effective, effective_size(weights))
             others, counts = np.unique(self.wanted[~out], return_counts=True)
             for at in np.flatnonzero(out).tolist():
@@ -303,7 +304,7 @@ def intervals_of(draws: Floats, weights: Floats) -> Floats:
 # --- Weights and predictions ------------------------------------------------------------------------------------------
 
 
-def losses(matches: Records, wanted: Codes, fit: Fit, rows: Bools | slice = slice(None)) -> Floats:
+def losses(matches: Records, wanted: Codes, fit: Fit) -> Floats:
     """Minus the logarithm of candidates' likelihood, up to a constant.
 
     A label that is not met costs its distance over the scatter. Besides, labels are wrong with a probability that is
@@ -314,11 +315,9 @@ def losses(matches: Records, wanted: Codes, fit: Fit, rows: Bools | slice = slic
     ----------
     matches : (n, points) MATCH
     wanted : (points,) codes of the measured labels
-    rows : of the measurements that count
     """
     from scipy.special import betaln
 
-    matches, wanted = matches[:, rows], wanted[rows]
     missed = matches["label"] != wanted
     misses, count = missed.sum(axis=1), matches.shape[1]
     wrong, right = _PRIOR_WEIGHT * fit.wrong_labels, _PRIOR_WEIGHT * (1.0 - fit.wrong_labels)
