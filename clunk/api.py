@@ -106,8 +106,7 @@ def sweep(
         with shown(RUNS_OF_BOUNDARIES) if progress is True else nullcontext() as report:
             return with_boundaries(study, results, lash=lash, workers=workers, progress=report)
 
-    addition = trace if traces else None
-    results = _run(study, output, progress, engine, addition=addition, restart=restart, force=force)
+    results = _run(study, output, progress, engine, addition=trace if traces else None, restart=restart, force=force)
     assert isinstance(results, Results)
     return results
 

@@ -42,7 +42,7 @@ class _SafeStream:
     def __init__(self, stream: TextIO) -> None:
         self.direct = stream
 
-    def write(self, text: str) -> int | None:
+    def write(self, text: str) -> Any:
         return self._passed(self.direct.write, safe(text))
 
     def flush(self) -> None:

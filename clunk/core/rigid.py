@@ -27,6 +27,7 @@ from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
+_MOMENT = 0.01  # s, in which speeds come to angles that modes are made of, and round them
 _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
 
 
@@ -91,8 +92,9 @@ def _note_touches_beside(
     for other in range(system.lash_count):
         twist, size = rubbing.twist_of(system, system.lashes[other], at.x)
         its_speed = speed_of(system, other, at.x)
-        gap = abs(at.inputs[gap_input(other)] - twist * np.sign(its_speed))
-        is_near = gap <= INSTANT * abs(its_speed) + _APART * size
+        gap = at.inputs[gap_input(other)]
+        # `_part_by` moves one of those that part at one time
+        is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 3.0 * _APART * (gap + size)
         if other == lash or system.contacts[regime, other].closed != 0 or not is_near:
             continue
         fastest[other] = max(fastest[other], abs(its_speed))
@@ -274,7 +276,10 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
 @part
 def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
     """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
-    gap, (_, size) = at.inputs[gap_input(lash)], rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
+    gap, row, n = at.inputs[gap_input(lash)], at.system.lashes[lash], at.system.inertias
+    _, size = rubbing.twist_of(at.system, row, at.x)
+    for k in range(n, 2 * n):
+        size += _MOMENT * abs(row[k] * at.x[k])
     _hold(at.system, held, lash, at.x, side * (gap - share * (gap + size)))
 
 
