@@ -111,7 +111,9 @@ class Comparison(Record):
     flagged: Bools
     identical: bool = told("identical bit for bit")
     configs_equal: bool = told("digests of the configs are the same")
-    largest_differences: tuple[Difference, ...] = told("largest differences in cells with equal labels")
+    largest_differences: tuple[Difference, ...] = told(
+        "largest differences in cells with equal labels, and share of B's largest"
+    )
     config_differences: dict[str, dict[str, Any]] = told("configs")
     provenance_differences: dict[str, dict[str, Any]] = told("computed with or on other")
     verdict: str = told(SENTENCE)

@@ -27,7 +27,7 @@ from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
-_MOMENT = 0.01  # s, in which speeds come to angles that modes are made of, and round them
+_MOMENT = 0.01  # s, of rolling: the coordinates of modes are rounded as its angle is
 _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
 
 

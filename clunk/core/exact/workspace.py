@@ -21,9 +21,8 @@ from clunk.core.regimes import System, driveline_at
 from clunk.core.runs import Log
 from clunk.core.sequence import COURSE
 
-# Runs: many wait for the same, and its code is at hand for several steps on end. With as many as fill all queues of a
-# system of several elements, their events take so much memory that it is given back to the operating system, and taken
-# anew, with each tile: the rig with two frictions then takes 1.1 to 1.3 times as long, and with two lashes 1.03 times.
+# Runs: many wait for the same, and its code is at hand for several steps on end. With twice as many the rig takes 1.1
+# times as long, and with frictions 0.95 times.
 UNDER_WAY = 16 * WIDTH
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
 OF_SEEN = 13  # rows of lanes that a step keeps of a functional
@@ -110,7 +109,7 @@ _latest = threading.local()  # `space`: the last workspace of one driveline that
 
 
 def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int) -> Workspace:
-    """Room for `slots` runs of so many events and states at them, none of which has begun: where it fits the latest.
+    """Room for `slots` runs or more, none of which has begun: what this thread had last, where that fits.
 
     Parameters
     ----------
