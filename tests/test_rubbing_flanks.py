@@ -8,6 +8,7 @@ from helpers import reference
 from helpers.agreement import exact, happened_in, in_order
 from helpers.randomplants import element_plant
 
+import clunk
 from clunk.core.events import TOUCH
 from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
@@ -74,6 +75,61 @@ def test_a_flank_lets_go_where_the_pull_exceeds_the_friction_beside_it(method):
     crossing = np.cbrt(6.0 * np.deg2rad(0.1) * J / 10.0)
     assert run.events["time"][1:3] == pytest.approx([0.3, 0.3 + crossing], abs=1e-9)  # F and a billionth of it
     assert run.events["speed"][2] == pytest.approx(-10.0 * crossing**2 / (2.0 * J), rel=1e-8)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("method", METHODS)
+def test_flanks_without_a_gap_change_where_the_pull_exceeds_the_friction_beside_them(method, way):
+    """The torque as above: what the friction may hold is not asked of the other flank."""
+    run = mass(method, 1.0, backlash=0.0, before=2.0 * way, after=-2.0 * way, profile=reference.ramp(0.4))
+    assert [run.kind_name(k) for k in range(len(run.events))] == ["load step", "separation", "touch", "lock"]
+    assert run.events["side"][1:] == pytest.approx([way, -way, -way])
+    assert run.events["time"][1:] == pytest.approx([0.3] * 3, abs=1e-9)
+    unmoved = mass(method, 1.0, backlash=0.0, before=2.0 * way, after=-0.9 * way)
+    assert unmoved.touches == 0
+
+
+EQUAL_BRANCHES = """
+[driveline]
+inertias = [0.008, 0.003, 0.003, 0.001, 0.001]
+shafts = [
+    {between = [2, 4], stiffness = 20.0, damping = 0.02, friction = 0.04},
+    {between = [3, 5], stiffness = 20.0, damping = 0.02, friction = 0.04},
+    {between = [1, "ground"], damping = 0.02},
+    {between = [2, "ground"], damping = 0.02},
+    {between = [3, "ground"], damping = 0.02},
+    {between = [4, "ground"], damping = 0.02},
+    {between = [5, "ground"], damping = 0.02},
+]
+[[lash]]
+between = [1, 2]
+backlash_deg = 0.4
+radius = 0.1
+contact = {model = "restitution", restitution = 1.0}
+[[lash]]
+between = [1, 3]
+backlash_deg = 0.4
+radius = 0.1
+contact = {model = "restitution", restitution = 1.0}
+[load]
+on = 1
+initial_torque = 3.5
+final_torque = 0.0
+[solver]
+step = 1e-5
+end_time = 0.4
+"""
+
+
+def test_frictions_of_equal_branches_slip_and_stick_together_by_rk4():
+    """The rates of both have drifted by rounding while they stuck, one of them backwards."""
+    study = clunk.study_from_text(EQUAL_BRANCHES)
+    rk4, by_modes = (simulate(study.but(solver=study.solver.but(method=method))) for method in ("rk4", "exact"))
+    # 1e-7 s: the step's error; changes of what sticks at one time are as many phases as rounding makes of them
+    slips = [np.unique(np.round(run.phases["time"], 7)) for run in (rk4, by_modes)]
+    assert len(slips[0]) > 2
+    assert slips[0] == pytest.approx(slips[1], abs=2e-7)
+    assert rk4.touches == by_modes.touches == 0
 
 
 def study_of(plant):

@@ -175,29 +175,6 @@ def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
 
 
 @part
-def release(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
-    """A separation of the restitution model; without a gap the flanks lock on the other side at once.
-
-    Where several lashes are closed or frictions stick, those part that can, whichever one's torque turned first.
-    """
-    system, row, lash = at.system, at.system.guards[regime, guard], lash_of(at.system, regime, guard)
-    side, half_gap = row.side, at.inputs[gap_input(lash)]
-    if half_gap > 0.0:
-        return enter_chosen(at, log, regime, guard, 0, count)
-    _hold(system, held_with(system, regime, lash), lash, at.x, side * half_gap)
-    record(at, log, count, 0.0, row.event_kind, row.successor, lash, side)
-    free = opened(system, regime, lash)
-    successor = free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * system.regime_strides[lash]
-    record(at, log, count + 1, 0.0, TOUCH, free, lash, -side)
-    record(at, log, count + 2, 0.0, LOCK, successor, lash, -side)
-    torque, slope, scale = holding_torque(at, successor, lash)
-    # a jump of the load leaves a torque, which presses the other flank; else it is zero there
-    jumps = abs(torque) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time)
-    zero_guard = -1 if jumps else guard_of(system, successor, row.functional, -row.sign)
-    return Entry(count + 3, successor, zero_guard, 1)
-
-
-@part
 def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, count: int) -> Entry:
     """Entry into the regime of `rubbing.choose_states`, with the events that this makes.
 
@@ -245,31 +222,36 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
     if system.impulsive == 0:
         return entry
     held = held_with(system, entry.regime, -1)
-    parting = held_with(system, before, -1) & ~held
-    separating = parting & ~touched
     for lash in range(system.lash_count):
-        side = system.contacts[before, lash].side
-        if not parting >> lash & 1:
+        side, now = system.contacts[before, lash].side, system.contacts[entry.regime, lash].side
+        if side in (0, now):
             continue
-        is_carried = rubbing.is_carried(at, entry.regime, lash)
+        is_carried = now == 0 and rubbing.is_carried(at, entry.regime, lash)
         if not is_carried and first < 0 and entry.zero_guard < 0:
             first = lash  # released where it was held, but for what rounding has added up
-            _hold(system, held, lash, x, side * at.inputs[gap_input(lash)])
-        else:
+            _hold(system, held & ~(1 << lash), lash, x, side * at.inputs[gap_input(lash)])
+        elif now == 0:
             _part_by(_APART, at, held, lash, side)
         if is_carried:
             rubbing.stick_all(system, x, at.inputs)
-            separating &= ~(1 << lash)
-    for lash in range(system.lash_count):
-        if separating >> lash & 1:
-            record(at, log, count, 0.0, SEPARATION, entry.regime, lash, system.contacts[before, lash].side)
+        elif not touched >> lash & 1:
+            free = opened(system, entry.regime, lash)
+            record(at, log, count, 0.0, SEPARATION, free, lash, side)
             count += 1
+            if now != 0:
+                record(at, log, count, 0.0, TOUCH, free, lash, now)
+                record(at, log, count + 1, 0.0, LOCK, entry.regime, lash, now)
+                count += 2
     if first < 0:
         return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)
     torque_held, slope, scale = holding_torque(at, entry.regime, first)
+    side, now = system.contacts[before, first].side, system.contacts[entry.regime, first].side
     # where a jump parts them, q'' is not zero; unless it presses, nothing but the load's slope may tell what zero is
-    side = system.contacts[before, first].side
-    clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time) or side * slope > 0.0
+    clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time)
+    if now != 0:  # a jump of the load leaves a torque, which presses the other flank; else it is zero there
+        force = first * system.functionals_per_lash + FORCE
+        return Entry(count, entry.regime, -1 if clearly else guard_of(system, entry.regime, force, float(now)), 1)
+    clearly = clearly or side * slope > 0.0
     return Entry(count, entry.regime, _touch_of(system, entry.regime, first, side), 2 if clearly else 3)
 
 

@@ -33,6 +33,8 @@ from clunk.core.regimes import (
 from clunk.core.runs import Moment
 from clunk.core.tables import (
     ABOVE,
+    CLOSED_NEGATIVE,
+    CLOSED_POSITIVE,
     FORCE,
     HOLDING,
     OF_FRICTION,
@@ -94,8 +96,8 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     count, event, resting, locked, sticking = system.friction_count, -1, 0, 0, _sticking_in(system, regime)
     if ended >= 0:  # functionals of frictions are the last
         event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
-    for lash in range(system.lash_count * system.impulsive):  # one without a gap has always a flank
-        locked |= (system.contacts[resting_on, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
+    for lash in range(system.lash_count * system.impulsive):
+        locked |= (system.contacts[resting_on, lash].closed != 0) << lash
     if ended < 0 and fits(at, regime, resting_on, locked):
         return regime, -1, 0
     for k in range(count):
@@ -122,9 +124,10 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             sets_off = clearly or way * derivative(at, best, rate_of_friction(system, k), 2)[0] > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
-            elif not clearly:
+            else:
                 row, weights, n = system.frictions[k], 0.0, system.inertias
-                kick = _KICK * way * (_rate(system, row, 0.0, x)[1] + _MOMENT * size)
+                rate, most = _rate(system, row, 0.0, x)
+                kick = _KICK * way * (most + _MOMENT * size) - rate
                 for j in range(n, 2 * n):
                     weights += row[j] ** 2
                 for j in range(n, 2 * n):
@@ -180,7 +183,7 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
         base = regime
         for lash in range(system.lash_count):
             if (locked & ~closed) >> lash & 1:
-                base = opened(system, base, lash)
+                base = parted(at, base, lash)
         for number in range(combinations):
             candidate, digits = base, number
             for j in range(count):  # first the one that the event is of
@@ -203,14 +206,23 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
     return best
 
 
+@inlined_part
+def parted(at: Moment, regime: int, lash: int) -> int:
+    """The regime in which rigid flanks that are closed have parted; without a gap they are so on the other side."""
+    free, side = opened(at.system, regime, lash), at.system.contacts[regime, lash].side
+    if at.inputs[gap_input(lash)] > 0.0:
+        return free
+    return free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * at.system.regime_strides[lash]
+
+
 @part
 def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     """By how much rigid flanks at rest, closed before, miss their state in a regime; as `_misfit`.
 
-    Where they are closed, that is the torque that pulls at them; where they are open, the one that presses.
+    Where they are closed, that is the torque that pulls at them; where they have parted, the one that presses.
     """
     system, way = at.system, at.system.contacts[before, lash].side
-    if system.contacts[regime, lash].closed == 0:
+    if system.contacts[regime, lash].side != way:
         way = -way
     functional = lash * system.functionals_per_lash + FORCE
     torque, size = derivative(at, regime, functional, 0)

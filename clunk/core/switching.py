@@ -131,14 +131,13 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
 
 @inlined_part
 def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
-    """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock.
+    """Whether the event buffer holds what one switch may write, and changes of stage that are not are not too many.
 
-    With these, each other rigid lash may part where it is closed, or touch and lock where it is open. And whether
-    changes of stage that are not written are not too many.
+    Of each rigid lash that is up to a separation, a touch and its lock.
     """
     system = at.system
     # and one of the frictions may begin to slip
-    most = 1 + 2 * system.lash_count * system.impulsive + (system.friction_count > 0)
+    most = 1 + 3 * system.lash_count * system.impulsive + (system.friction_count > 0)
     return count + most <= log.events.size and stages <= MOST_STAGES
 
 
@@ -173,7 +172,7 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: F
     if system.impulsive != 0:
         if row.event_kind == TOUCH:
             return rigid.strike(at, log, regime, guard, speed, count, fastest)
-        return rigid.release(at, log, regime, guard, count)
+        return rigid.enter_chosen(at, log, regime, guard, 0, count)
     record(at, log, count, speed, row.event_kind, row.successor, lash, row.side)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
 
