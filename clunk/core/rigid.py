@@ -32,7 +32,7 @@ _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part
 
 
 @part
-def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: int, fastest: FloatArray) -> Entry:
+def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: int) -> Entry:
     """A touch of the restitution model, and the lock that may follow it at once.
 
     Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
@@ -42,9 +42,8 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     """
     system, x = at.system, at.x
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
-    fastest[lash] = max(fastest[lash], abs(speed))
     regime = opened(system, _resting_on(at, log, regime, count), lash)
-    slowest, before = _locking_speed(at, regime, lash, fastest[lash]), regime
+    slowest, before = _locking_speed(at, log, regime, lash, speed), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
     held = closed = held_with(system, regime, lash)
     if held != 0 and abs(speed) > slowest:
@@ -55,10 +54,12 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
             regime = opened(system, regime, other)
     events = log.events
     events[count].lash, events[count].speed, events[count].side = lash, speed, side
-    touches = events[count : _note_touches_beside(at, log, before, lash, rebounds, count, fastest)]
+    touches = events[count : _note_touches_beside(at, log, before, lash, rebounds, count)]
     _strike_together(system, held, rebounds, x, touches)
     touched, resting = 0, held
     for touch in touches:
+        if touches.size > 1:  # or they would touch apart as they become slow
+            _place(system, held, touch.lash, x, 0, touch.side * at.inputs[gap_input(touch.lash)])
         if not rebounds:
             _hold(system, resting, touch.lash, x, touch.side * at.inputs[gap_input(touch.lash)])
         touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
@@ -80,9 +81,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
 
 
 @part
-def _note_touches_beside(
-    at: Moment, log: Log, regime: int, lash: int, rebounds: bool, count: int, fastest: FloatArray
-) -> int:
+def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds: bool, count: int) -> int:
     """Write lash, speed and side of the other open lashes that touch at the same time, as those of equal branches do.
 
     Of these, the ones that rebound, or do not, as the lash itself. They are behind the event `count`, its touch.
@@ -97,8 +96,7 @@ def _note_touches_beside(
         is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 3.0 * _APART * (gap + size)
         if other == lash or system.contacts[regime, other].closed != 0 or not is_near:
             continue
-        fastest[other] = max(fastest[other], abs(its_speed))
-        slowest = _locking_speed(at, regime, other, fastest[other])
+        slowest = _locking_speed(at, log, regime, other, its_speed)
         if (system.restitution[other] * abs(its_speed) > slowest) == rebounds:
             count += 1
             events[count].lash, events[count].speed = other, its_speed
@@ -266,13 +264,14 @@ def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
 
 
 @part
-def _locking_speed(at: Moment, regime: int, lash: int, fastest: float) -> float:
+def _locking_speed(at: Moment, log: Log, regime: int, lash: int, speed: float) -> float:
     """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding."""
-    tolerance = at.system.locking_speed[lash]
+    tolerance, course = at.system.locking_speed[lash], log.courses[lash]
+    course.fastest = max(course.fastest, abs(speed))
     # a rebound lower than the rounding of the gap cannot be followed
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
     _, place = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
-    return max(tolerance, -tolerance * fastest, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
+    return max(tolerance, -tolerance * course.fastest, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
 
 
 @part
@@ -299,20 +298,26 @@ def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> No
     The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes what is left of
     rounding, so that q' is zero to the last bit.
     """
+    _place(system, held, lash, x, 0, gap)
+    _place(system, held, lash, x, system.inertias, 0.0)
+
+
+@part
+def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> None:
+    """Make what `_hold` does of q, in the angles from `first` on, or of q', in the speeds."""
     n, row, impulse = system.inertias, system.lashes[lash], system.impulse[held, lash]
-    for first, target in ((0, gap), (n, 0.0)):
-        excess = -target
-        last = -1
-        for k in range(n):
-            excess += row[n + k] * x[first + k]
-        rest = -target
-        for k in range(n):
-            weight = row[n + k]
-            if weight != 0.0 or held != 0:
-                x[first + k] -= excess * impulse[n + k]
-            if weight != 0.0:
-                rest += weight * x[first + k]
-                if last < 0 or abs(weight) == 1.0:
-                    last = k
-        rest -= row[n + last] * x[first + last]
-        x[first + last] = -rest / row[n + last]
+    excess = -target
+    last = -1
+    for k in range(n):
+        excess += row[n + k] * x[first + k]
+    rest = -target
+    for k in range(n):
+        weight = row[n + k]
+        if weight != 0.0 or held != 0:
+            x[first + k] -= excess * impulse[n + k]
+        if weight != 0.0:
+            rest += weight * x[first + k]
+            if last < 0 or abs(weight) == 1.0:
+                last = k
+    rest -= row[n + last] * x[first + last]
+    x[first + last] = -rest / row[n + last]

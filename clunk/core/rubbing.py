@@ -43,7 +43,7 @@ from clunk.core.tables import (
     STICKS,
 )
 
-_WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
+WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
 # tells that it does, but not what sets it in motion.
 _KICK = 1e-13
@@ -66,7 +66,7 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
     """
     for k in range(system.friction_count):
         state, (rate, most) = STICKS, _rate(system, system.frictions[k], speed, x)
-        if abs(rate) > _WITHIN * most:
+        if abs(rate) > WITHIN * most:
             state = SLIPS_FORWARD if rate > 0.0 else SLIPS_BACKWARD
         regime += stride_of_friction(system, k) * (state - state_of_friction(system, regime, k))
     return regime
@@ -105,7 +105,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             most += terms * at.time  # no rate is known better than its time
-            if abs(rate) > _WITHIN * most:
+            if abs(rate) > WITHIN * most:
                 continue
         resting |= 1 << k
     failed = regime if ended >= 0 and event < 0 else -1
@@ -120,7 +120,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         elif resting >> k & 1 and not _is_held(system, best, rate_of_friction(system, k)):
             way = 1.0 if state == SLIPS_FORWARD else -1.0
             speeds_up, size = derivative(at, best, rate_of_friction(system, k), 1)
-            clearly = abs(speeds_up) > _WITHIN * size
+            clearly = abs(speeds_up) > WITHIN * size
             sets_off = clearly or way * derivative(at, best, rate_of_friction(system, k), 2)[0] > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
@@ -140,7 +140,7 @@ def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
     """Whether a regime goes on, as what sticks in it, and some locked lashes, as bits, tell; see `choose_states`."""
     sticking = _sticking_in(at.system, regime)
     has_excess = at.system.excess[at.system.regimes[regime].flow] != 0
-    return not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= _WITHIN
+    return not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= WITHIN
 
 
 @inlined_part
@@ -228,9 +228,9 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     torque, size = derivative(at, regime, functional, 0)
     slope, slope_size = derivative(at, regime, functional, 1)
     size += slope_size * at.time
-    if -way * torque > _WITHIN * size:
+    if -way * torque > WITHIN * size:
         return -way * torque / size
-    return _WITHIN if way * torque < _WITHIN * size and way * slope < -_WITHIN * slope_size else 0.0
+    return WITHIN if way * torque < WITHIN * size and way * slope < -WITHIN * slope_size else 0.0
 
 
 @part
@@ -238,7 +238,7 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
     """By how much a friction at rest misses its state in a regime, as a share of the terms; 0 where it fits.
 
     Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
-    it is `_WITHIN` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.
+    it is `WITHIN` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.
     """
     system, most, way = at.system, at.system.friction_torques[friction], 1.0
     state, functional, order = state_of_friction(system, regime, friction), rate_of_friction(system, friction), 2
@@ -248,20 +248,20 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
         beyond, size, way = abs(torque) - most, size + most, -torque
         # rigid flanks: at F, and not only at the little more that it holds
         limit = most if system.impulsive == 0 else most / (1.0 + ABOVE)
-        is_at_limit = abs(torque) - limit > -_WITHIN * size
+        is_at_limit = abs(torque) - limit > -WITHIN * size
     elif _is_held(system, regime, functional):
         return 0.0
     else:
         way = 1.0 if state == SLIPS_FORWARD else -1.0
         speeds_up, size = derivative(at, regime, functional, 1)
         beyond = -way * speeds_up
-        is_at_limit = beyond > -_WITHIN * size
-    if beyond > _WITHIN * size:
+        is_at_limit = beyond > -WITHIN * size
+    if beyond > WITHIN * size:
         return beyond / size
     if not is_at_limit:
         return 0.0
     onwards, _ = derivative(at, regime, functional, order)
-    return _WITHIN if way * onwards < 0.0 else 0.0
+    return WITHIN if way * onwards < 0.0 else 0.0
 
 
 @part
@@ -310,7 +310,7 @@ def is_carried(at: Moment, regime: int, lash: int) -> bool:
     """Whether the rigid flanks of an open lash rest on each other, and what sticks or is locked holds them there."""
     system, half_gap = at.system, at.inputs[gap_input(lash)]
     twist, size = twist_of(system, system.lashes[lash], at.x)
-    rests = half_gap - abs(twist) <= _WITHIN * (half_gap + size)
+    rests = half_gap - abs(twist) <= WITHIN * (half_gap + size)
     rate, most = _rate(system, system.lashes[lash], 0.0, at.x)
     held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
-    return system.friction_count > 0 and held and rests and abs(rate) <= _WITHIN * most
+    return system.friction_count > 0 and held and rests and abs(rate) <= WITHIN * most

@@ -23,6 +23,8 @@ COURSE = np.dtype(  # what the flanks of one lash have done so far in a run
         ("last_side", "i8"),  # the flank of the last touch, at first the preloaded one (0: none)
         ("from_sticking", "i8"),  # whether they have separated from sticking since
         ("contact_began", "f8"),  # s, of the last contact; -inf of the preloaded one
+        ("static", "f8"),  # by exact: the overlap of its flanks at rest, rad, or the torque between rigid ones
+        ("fastest", "f8"),  # rad/s, of the touches of rigid flanks
         ("margin", "f8"),  # of the last touch of rigid flanks, which counts if the next one is of the same flank
     ],
     align=True,

@@ -21,7 +21,6 @@ from clunk.core.runs import Entry, Log, Moment, Start, begin_wave, record, set_g
 from clunk.core.status import NO_EQUILIBRIUM, NO_INITIAL_FLANK, OK
 from clunk.core.tables import BEYOND, OPEN, TORQUE
 
-_WITHIN = 1e-11  # of its terms: the steady twist of a staged shaft this little beyond a breakpoint is at it
 _FASTEST = 1e7  # rad/s, of a part in steady motion: beside such a speed the digits of twists are lost
 MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what has more truly runs away
 
@@ -54,8 +53,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
     for regime in range(stages * system.regime_strides[lashes]):
         stage, closed, presses = regime // system.regime_strides[lashes], True, True
         for lash in range(lashes):
-            contact = system.contacts[regime, lash]
-            torque = _of_inputs(system, regime, system.contact_torque[stage, lash], inputs)
+            contact, torque = system.contacts[regime, lash], steady_torque(system, regime, lash, inputs)
             closed, presses = closed and contact.closed != 0, presses and contact.side * torque > 0.0
         if not closed or (not presses and status == NO_INITIAL_FLANK):
             continue
@@ -72,6 +70,13 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
             return OK, regime
         status = NO_INITIAL_FLANK
     return status, OPEN
+
+
+@inlined_part
+def steady_torque(system: System, regime: int, lash: int, inputs: FloatArray) -> float:
+    """The torque across a lash, and what rubs beside it, in steady motion in a regime in which it is closed  [N m]."""
+    stage = regime // system.regime_strides[system.lash_count]
+    return _of_inputs(system, regime, system.contact_torque[stage, lash], inputs)
 
 
 @inlined_part
@@ -101,7 +106,7 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
                 term = guard.sign * system.functionals[0, guard.functional, k] * x[k]
                 value += term
                 scale += abs(term)
-            is_at_breakpoint = abs(value) <= _WITHIN * scale
+            is_at_breakpoint = abs(value) <= rubbing.WITHIN * scale
             if not (is_at_breakpoint or value >= 0.0):  # NaN where no stiffness tells the twist
                 return False, False
             behind = system.steady_motion[guard.successor // system.regime_strides[system.lash_count], 0, TORQUE]
@@ -120,7 +125,7 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
     for lash in range(system.lash_count):
         course = log.courses[lash]
         course.last_side, course.contact_began, course.from_sticking = contacts[lash].side, -np.inf, 0
-        course.margin = np.inf
+        course.fastest, course.margin = 0.0, np.inf
     set_gaps(system, start.before, inputs)
     rubbing.stick_all(system, start.x, inputs)
     begin_wave(system, load, piece, start.x)
@@ -148,15 +153,13 @@ def is_instant(at: Moment, last: float) -> bool:
 
 
 @inlined_part
-def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: FloatArray) -> Entry:
+def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
     """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
 
     Parameters
     ----------
     count : int
         Events written so far.
-    fastest : (L,) float64  [rad/s]
-        Speed of the fastest touch of each lash so far; updated where flanks are rigid.
     """
     system, row = at.system, at.system.guards[regime, guard]
     if row.event_kind == STAGE:
@@ -171,7 +174,7 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int, fastest: F
     speed = speed_of(system, lash, at.x)
     if system.impulsive != 0:
         if row.event_kind == TOUCH:
-            return rigid.strike(at, log, regime, guard, speed, count, fastest)
+            return rigid.strike(at, log, regime, guard, speed, count)
         return rigid.enter_chosen(at, log, regime, guard, 0, count)
     record(at, log, count, speed, row.event_kind, row.successor, lash, row.side)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)

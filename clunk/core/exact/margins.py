@@ -23,7 +23,7 @@ from clunk.core.rigid import holding_torque
 from clunk.core.runs import LEVEL, Entry, Moment, Start
 from clunk.core.sequence import is_primary, is_sticking
 from clunk.core.status import OK, QUALITY_GRAZING
-from clunk.core.switching import preload
+from clunk.core.switching import preload, steady_torque
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 MOST = 0.25  # larger margins are not looked for, and written as this
@@ -52,10 +52,10 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
     for lash in range(system.lash_count):
         side = system.contacts[regime, lash].side
         if system.impulsive != 0:
-            static = side * holding_torque(Moment(system, 0.0, x, inputs), regime, lash)[0]
+            static = side * steady_torque(system, regime, lash, inputs)
         else:
             static = overlap_of(system, lash, side, x, inputs)
-        space.static[slot, lash] = max(static, 0.0) if status == OK else 0.0
+        space.courses[slot, lash].static = max(static, 0.0) if status == OK else 0.0
     inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
 
 
@@ -71,7 +71,7 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
         _take(own, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
     elif guard.event_kind == REJOIN and is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
-        _take(own, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / space.static[slot, lash])
+        _take(own, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / course.static)
 
 
 @inlined_part
@@ -88,10 +88,11 @@ def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
         event = space.events[slot, n]
         lash = event.lash
         if event.kind == TOUCH:
-            speed = system.restitution[lash] * abs(event.speed) / space.fastest[slot, lash]
-            torque = abs(holding_torque(at, entry.regime, lash)[0]) / space.static[slot, lash]
+            course = space.courses[slot, lash]
+            speed = system.restitution[lash] * abs(event.speed) / course.fastest
+            torque = abs(holding_torque(at, entry.regime, lash)[0]) / course.static
             locks = system.contacts[entry.regime, lash].closed != 0
-            space.courses[slot, lash].margin = -torque if locks else max(speed, torque)
+            course.margin = -torque if locks else max(speed, torque)
 
 
 @inlined_part

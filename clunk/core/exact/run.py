@@ -55,7 +55,6 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row.load, row.piece, row.ended = start.load, piece_at(start.loads[start.load], 0, 0.0), rows.GOES_ON
     row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(system.lash_count):
-        space.fastest[slot, lash] = 0.0
         own = space.numbers[slot, lash_at(space, lash) :]
         own[rows.MARGIN], own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = MOST, np.inf, -np.inf
     row.last = 0.0
@@ -98,7 +97,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own = space.numbers[slot, lash_at(space, lash) :]
         held_from = course.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
-        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * space.static[slot, lash]
+        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * course.static
         own[rows.HELD_FROM] = held_from if contact.closed != 0 else -np.inf
         own[rows.SIDE] = -1.0 if mirrored else 1.0
         own[rows.SCALE] = scale
@@ -200,7 +199,7 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
         for lash in range(at.system.lash_count):
             own = space.numbers[slot, lash_at(space, lash) :]
             copy(log.extremes[row.count - 1, lash], own)  # to WINDOW_MAX and WINDOW_MIN
-    entry = switch(at, log, row.regime, row.guard, row.count, space.fastest[slot])
+    entry = switch(at, log, row.regime, row.guard, row.count)
     row.stages += entry.written == row.count  # one that is not written, which takes no room for events
     note_impacts(space, slot, at, entry)
     _take_events(space, slot, row.count, entry.written)

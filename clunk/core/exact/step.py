@@ -35,10 +35,12 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
 from clunk.core.regimes import ROUNDING, lash_of
+from clunk.core.rubbing import WITHIN
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.sums import copy
 from clunk.core.tables import ACCELERATION
 
+_ALL_BUT_ZERO = 1e-9  # of its scale: a guard that a step begins with no farther from zero makes no near miss
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
 # Rows of `seen`: the functional at the step's beginning, and its sway; at its end; and its least and greatest values in
@@ -352,11 +354,12 @@ def _first_zero(
     start = vectors.load(c, 0)
     lost = near & ~(start - start == 0.0)
     near &= ~lost
-    within = vectors.larger(noise, GRAZING * scale)
+    within = vectors.larger(noise, WITHIN * scale)
     starts = (order == 0.0) & (start <= noise) & (start >= -within)
-    # rigid flanks that part at rest, while others rebound
-    rests = starts & -space.system.impulsive & (vectors.magnitude(vectors.load(c, 1)) <= 4.0 * noise)
-    order = vectors.choose(rests, 2.0, vectors.choose(starts, 1.0, order))
+    order = vectors.choose(starts, 1.0, order)
+    for n in range(1, 3):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
+        starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= 4.0 * noise)
+        order = vectors.choose(starts, n + 1.0, order)
     for n in range(3):  # zeros at the beginning are divided out
         shifted = order > float(n)
         if shifted == 0:
@@ -405,7 +408,8 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
     """Begin to search what counts of where functionals turn back within a step of time h; return the lanes.
 
     That is an acceleration beyond its window, or a guard so low that it is a near miss. Guards that are zero with their
-    slope at the beginning are passed over: there, rounding would show one.
+    slope at the beginning are passed over: there, rounding would show one; so are all but zero ones, of
+    flanks that rest on each other, or have been moved apart beside others.
     """
     elapsed, watched, turns = field(space, rows.ELAPSED), space.system.regimes[regime].watched, 0
     for n in range(_functionals_seen(space, regime)):
@@ -417,7 +421,9 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
             held_from = field_of(space, rows.HELD_FROM, _lash(space, regime, n))
             counts = elapsed - held_from
             may &= (counts > 0.0) & (_scale(space, regime, n) > 0.0) & ~(event == float(n))
-            may &= ~((_zero_order(space, n) > 1.0) & (held_from <= 0.0))
+            is_zero = _zero_order(space, n) > 1.0
+            is_zero |= ~(start.value == 0.0) & (start.value <= _ALL_BUT_ZERO * _scale(space, regime, n))
+            may &= ~(is_zero & (held_from <= 0.0))
             may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
         else:
             high = field_of(space, rows.WINDOW_MAX, n - watched)

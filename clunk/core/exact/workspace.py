@@ -79,8 +79,6 @@ class Workspace(NamedTuple):
     inputs_at: int  # and where u does, what the run's regime makes of its inputs
     runs: Records  # (S + 1,) RUN
     courses: Records  # (S, L) sequence.COURSE
-    static: FloatArray  # (S, L)  of each lash, what is at rest: overlap, rad, or locking torque
-    fastest: FloatArray  # (S, L)  rad/s, of the touches of each lash so far
     loads: FloatArray  # (loads, P, PIECE)
     inputs: FloatArray  # (S, I)  d of each run, when its phase or its load's piece began
     state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
@@ -157,8 +155,6 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
         inputs_at=inputs_at,
         runs=np.zeros(slots + 1, RUN),
         courses=np.zeros((slots, lashes), COURSE),
-        static=np.zeros((slots, lashes)),
-        fastest=np.zeros((slots, lashes)),
         loads=loads,
         inputs=np.ones((slots, driven)),
         state=aligned(slots + 1, size),

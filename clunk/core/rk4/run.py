@@ -71,7 +71,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         Set to non-zero from another thread to abandon the run.
     """
     x, inputs, load = start.x, room.inputs, start.loads[start.load]
-    inputs[:], room.fastest[:], log.margins[:] = 1.0, 0.0, np.nan
+    inputs[:], log.margins[:] = 1.0, np.nan
     room.z[:] = 0.0  # a run before may have left what is not a number where nothing is written
     entry = Entry(1, start.regime, -1, 0)
     piece, written = piece_at(load, 0, 0.0), entry.written
@@ -144,7 +144,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             return Outcome(EVENT_BUFFER_FULL, written, 0, time)
         if is_instant(at, log.events[written - 1].time):
             begin_windows(log, written - 1)
-        entry = switch(at, log, entry.regime, guard, written, room.fastest)
+        entry = switch(at, log, entry.regime, guard, written)
         stages += entry.written == written
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step

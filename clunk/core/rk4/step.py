@@ -13,6 +13,7 @@ from clunk.core.jit import part
 from clunk.core.regimes import ROUNDING, System
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import Steps
+from clunk.core.rubbing import WITHIN
 from clunk.core.sums import copy, weigh
 from clunk.core.switching import set_weighed
 from clunk.core.tables import ACCELERATION
@@ -22,7 +23,6 @@ class Room(NamedTuple):
     """Room for a run: for the phase between two events that it is in, and for what full steps are taken by in that."""
 
     inputs: FloatArray  # (I,)  d of the run
-    fastest: FloatArray  # (L,)  rad/s, of the touches of each lash so far
     # the phase: what its regime makes of the inputs and the guards, and a step's expansion
     weighed: FloatArray  # (I,)  u of the regime
     at: IntArray  # (G,)  where a guard's functional is among the outputs, value and terms 2, 3, 4 of each
@@ -48,7 +48,6 @@ def make_room(system: System, steps: Steps) -> Room:
     most, driven = system.guards.shape[1], system.input_count
     return Room(
         inputs=np.empty(driven),
-        fastest=np.empty(system.lash_count),
         weighed=np.empty(driven),
         at=np.empty(most, np.int64),
         sign=np.empty(most),
@@ -99,17 +98,19 @@ def first_event(
     Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
     guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides. Where
     there is more than one element, so is one that is within an instant of it: another one's event may have been located
-    first.
+    first; and a negative one within what `rubbing.choose_states` takes for zero.
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
         sign, shift = room.sign[guard], room.shift[guard]
         p, scale, of_rate = _quartic(system, system.regimes[regime].flow, system.guards[regime, guard].functional, room)
         p = sign * p[0] + shift, sign * p[1], sign * p[2], sign * p[3], sign * p[4]
-        order, rounding = zero_order if guard == zero_guard else 0, ROUNDING * (scale + abs(shift))
+        order, scale = zero_order if guard == zero_guard else 0, scale + abs(shift)
+        rounding = below = ROUNDING * scale
         if system.element_count > 1:
             rounding = max(rounding, INSTANT * abs(p[1]))
-        if order == 0 and abs(p[0]) <= rounding:
+            below = max(rounding, WITHIN * scale)
+        if order == 0 and -below <= p[0] <= rounding:
             order = 1 if abs(p[1]) > ROUNDING * of_rate else 2
         for _ in range(order):
             p = p[1], p[2], p[3], p[4], 0.0
