@@ -204,10 +204,9 @@ class Problem:
 
     def _run(self, candidates: Floats) -> Floats:
         """Margin, numbers, and how far each condition is from being met, in all runs of candidates, (n, runs, each)."""
-        results = self._runner(self._runner.values(self._columns(candidates))).of_lash(self._lash)
+        values = self._runner.values(self._columns(candidates))
+        results = self._runner(values, progress=self._tell).of_lash(self._lash)
         self.runs += results.sequence.size
-        if self.progress is not None:
-            self.progress(self.runs, max(self.runs, self.most))
         found = [results.margin, *(quantity.compared(results) for quantity in self._numbers)]
         for condition in self._conditions:
             # a number lacks its distance from its bound, a label the speed of the impacts
@@ -217,6 +216,10 @@ class Problem:
             is_met = condition.of_runs(results) == 1.0  # NaN where a run failed
             found.append(np.where(is_met, 0.0, 0.1 + beyond))
         return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))
+
+    def _tell(self, done: int, _total: int) -> None:
+        if self.progress is not None:
+            self.progress(self.runs + done, max(self.runs + done, self.most))
 
     def parameters(self, candidates: Floats) -> dict[str, Floats]:
         """Values of the free keys, (n,) each, by candidates, (n, parameters)."""

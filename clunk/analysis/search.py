@@ -274,7 +274,7 @@ class PointRuns:
         return in_halves(self._run, values, _failed(1)) if len(values) else _failed(0)
 
     def _run(self, values: Floats) -> Points:
-        results, points = self.runner.run(values).of_lash(self._lash), _failed(len(values))
+        results, points = self.runner.run(values, self._tell).of_lash(self._lash), _failed(len(values))
         points["touches"] = results.touches
         finished = results.status == Status.OK
         words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
@@ -284,9 +284,11 @@ class PointRuns:
         points["measure"][finished] = self._measure(results)[finished]
         self.failures.update(map(Status, results.status[~finished].tolist()))
         self.count += len(values)
-        if self._progress is not None:
-            self._progress(self.count, 0)
         return points
+
+    def _tell(self, done: int, _total: int) -> None:
+        if self._progress is not None:
+            self._progress(self.count + done, 0)
 
     def _measure(self, results: Results) -> Floats:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""

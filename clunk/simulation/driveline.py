@@ -194,14 +194,16 @@ class Driveline:
         """Natural frequencies and damping ratios with all lashes closed or open; without stiffness they are locked."""
         rigid = closed & (self.contact_stiffnesses == 0.0)
         ties = constrained(self.lashes, rigid)
-        rates = locked(chain(self.inertia, *self.matrices(closed=closed)), self.inertia, self.lashes, rigid)
+        damping, stiffness = self.matrices(closed=closed)
+        rates = locked(chain(self.inertia, damping, stiffness), self.inertia, self.lashes, rigid)
         every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
-        # a double zero, an undamped drift, is found to half the digits
-        rounding = 1e-7 * np.abs(every).max(initial=0.0)
-        order = np.argsort(np.abs(every))
-        order = order[every[order].imag > rounding]
-        oscillating, monotone = every[order], every[np.abs(every.imag) <= rounding]
-        monotone[np.abs(monotone) <= rounding] = 0.0
+        order, springs = np.argsort(np.abs(every)), np.concatenate([stiffness, self.lashes[rigid]])
+        # what no spring holds does not come back, and what no damper holds either keeps its speed: found to half the
+        # digits of the fastest mode, as a double zero
+        held = [np.linalg.matrix_rank(rows) for rows in (springs, np.concatenate([springs, damping]))]
+        every[order[: 2 * self.inertia.size - sum(held)]] = 0.0
+        order = order[every[order].imag > 0.0]
+        oscillating, monotone = every[order], every[every.imag == 0.0]
         shapes = (ties.expand @ vectors)[: self.inertia.size, order].T
         energy = self.inertia * np.abs(shapes) ** 2
         return Modes(

@@ -40,7 +40,7 @@ _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _KEPT = 2  # batches of drivelines
 _TILE_BATCHES = 8  # of a tile whose cells have a driveline each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
-_FEW = 32  # cells, whose time tells whether others are worth threads
+FEW = 32  # cells, whose time tells whether others are worth threads
 _FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 16  # of a run in a lash, that there is room for at first
@@ -122,7 +122,7 @@ class Grid:
             self.tile_cells = min(self.tile_cells, _TILE_BATCHES * most_prepared(study))
         solver = study.solver
         is_slow = solver.method == "rk4" and solver.end_time > _FEW_STEPS * solver.step
-        self.few_cells = 0 if is_slow or self._is_large() else min(_FEW, self.tile_cells)
+        self.few_cells = 0 if is_slow or self._is_large() else min(FEW, self.tile_cells)
         self.pace = [math.inf]  # one number, the same for all designs
         self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
 
@@ -141,7 +141,7 @@ class Grid:
 
     def _is_large(self) -> bool:
         """Whether there are so many drivelines that a batch of the first few would take long beside one of all."""
-        return bool(self.structural) and self.design.cells > _FEW
+        return bool(self.structural) and self.design.cells > FEW
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order in which they are best cut into tiles: those of one system behind one another."""
@@ -193,7 +193,7 @@ class Grid:
         began = time.perf_counter()
         tile = self.run_at(cells, self.design.columns(cells), stop)
         pace = (time.perf_counter() - began) / max(cells.size, 1)
-        self.pace[0] = pace if cells.size > _FEW else min(pace, self.pace[0])
+        self.pace[0] = pace if cells.size > FEW else min(pace, self.pace[0])
         return tile
 
     def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:

@@ -21,11 +21,12 @@ import numpy as np
 
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import Flag, Grid, Tile
+from clunk.sweeping.cells import FEW, Flag, Grid, Tile
 from clunk.sweeping.machine import available_cores
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
 _MOMENT = 0.01  # s of runs that are not: to start threads and to wait for them takes 1 ms
+_TILE = 0.5  # s, which a tile takes at most: progress is smooth, an interrupt keeps what is done
 _AHEAD = 8  # tiles handed to each worker, which goes on while a part is written to the disk, 0.1 to 0.3 s
 _ATTENDED = 25  # workers whose tiles of the usual size this process can look after: 4 ms each, of 0.1 s
 
@@ -63,7 +64,10 @@ def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Ge
     try:
         while True:
             workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
-            while size := next_tile(waiting.size, len(running), count, workers, grid.tile_cells):
+            most, pace = grid.tile_cells, grid.pace[0]
+            if isinstance(engine, Threads):  # the pace of others is not known here
+                most = max(most // 8, 1) if pace == math.inf else min(most, max(FEW, math.ceil(_TILE / pace)))
+            while size := next_tile(waiting.size, len(running), count, workers, most):
                 # each of the last tiles has cells of all that is left: they take equally long
                 part = slice(0, None, -(-waiting.size // size)) if waiting.size <= workers * size else slice(size)
                 running.add(engine.submit(grid.run, waiting[part].copy(), stop))  # may be kept, the rest not

@@ -104,10 +104,12 @@ class Reduction:
         """Run the cells that have not been added; of these, none that runs at an interrupt.
 
         engine, workers : see `run_tiles`
-        progress : called in this thread with the number of cells after each tile
+        progress : called in this thread with the number of cells, first of those added before, then after each tile
         keep : called with each tile that has been added
         """
         with closing(run_tiles(self.grid, np.flatnonzero(~self.known), engine, workers)) as tiles:
+            if progress is not None:
+                progress(self.done, self.design.cells)
             for tile in tiles:
                 self.add(tile)
                 if keep is not None:

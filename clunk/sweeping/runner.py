@@ -71,7 +71,7 @@ class Runner:
         ----------
         points : (n, keys) float, each in its key's unit
         progress : callable(done, total), optional
-            Called in this thread with the number of runs after each finished part.
+            Called in this thread with the number of runs at the beginning, and after each finished part.
 
         Returns
         -------

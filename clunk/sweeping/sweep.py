@@ -137,8 +137,6 @@ class Job:
                 if parts.taken_up:
                     self._say(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there")
             before = reduction.done
-            if before and report is not None:
-                report(before, self.design.cells)
             try:
                 reduction.run(engine, workers, report, None if parts is None else parts.add)
             except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone

@@ -242,15 +242,14 @@ def _scale(chain: Chain) -> _Scaled:
     root = np.sqrt(chain.inertia)[..., None]
     squared, rotated = _undamped_modes(chain.stiffness / (root * root.swapaxes(-1, -2)), root * chain.rigid)
     shapes = rotated / root
-    free = alike(squared <= _ROUNDING * squared.max(axis=-1, initial=0.0, keepdims=True))
+    free = _are_free(shapes, chain.stiffness)
     if np.count_nonzero(free) > 1:  # among the free shapes those apart that are not damped either
         damped = shapes[..., free].swapaxes(-1, -2) @ chain.damping @ shapes[..., free]
         shapes[..., free] = shapes[..., free] @ np.linalg.eigh(damped)[1]
     across = shapes.swapaxes(-1, -2)
     stiffness, damping = across @ chain.stiffness @ shapes, across @ chain.damping @ shapes
     stiffness[:, free], stiffness[..., free] = 0.0, 0.0
-    friction = damping.diagonal(axis1=-2, axis2=-1)
-    undamped = alike(free & (friction <= _ROUNDING * friction.max(axis=-1, initial=0.0, keepdims=True)))
+    undamped = free & _are_free(shapes, chain.damping)
     damping[:, undamped], damping[..., undamped] = 0.0, 0.0
     squared = np.where(free, squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True), squared)
     squared[np.isinf(squared)] = 1.0
@@ -263,6 +262,12 @@ def _scale(chain: Chain) -> _Scaled:
     into[:, m:, m:], back[:, m:, m:] = across * chain.inertia[:, None], shapes
     into[:, :m, :m], back[:, :m, :m] = frequency[..., None] * into[:, m:, m:], shapes / frequency[:, None]
     return _Scaled(into, back, generator, np.concatenate((free, undamped)))
+
+
+def _are_free(shapes: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which shapes twist no spring, or no damper, of a matrix: its terms cancel, however light the lightest part is."""
+    terms = np.abs(shapes) * (np.abs(matrix) @ np.abs(shapes))
+    return alike(np.sum(shapes * (matrix @ shapes), axis=-2) <= _ROUNDING * terms.sum(axis=-2))
 
 
 def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -38,9 +38,9 @@ from clunk.core.regimes import ROUNDING, lash_of
 from clunk.core.rubbing import WITHIN
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.sums import copy
-from clunk.core.tables import ACCELERATION
+from clunk.core.tables import ACCELERATION, GAP
 
-_ALL_BUT_ZERO = 1e-9  # of its scale: a guard that a step begins with no farther from zero makes no near miss
+_ALL_BUT_ZERO = 1e-9  # of the gap: flanks that are so near as a step begins rest on each other
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
 # Rows of `seen`: the functional at the step's beginning, and its sway; at its end; and its least and greatest values in
@@ -408,10 +408,11 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
     """Begin to search what counts of where functionals turn back within a step of time h; return the lanes.
 
     That is an acceleration beyond its window, or a guard so low that it is a near miss. Guards that are zero with their
-    slope at the beginning are passed over: there, rounding would show one; so are all but zero ones, of
-    flanks that rest on each other, or have been moved apart beside others.
+    slope at the beginning are passed over: there, rounding would show one; so are all but zero gaps of
+    rigid flanks, which rest on each other, or have been moved apart beside others.
     """
-    elapsed, watched, turns = field(space, rows.ELAPSED), space.system.regimes[regime].watched, 0
+    system, elapsed, turns = space.system, field(space, rows.ELAPSED), 0
+    watched = system.regimes[regime].watched
     for n in range(_functionals_seen(space, regime)):
         row = n * OF_SEEN
         start, end = load_curve(space.seen, row + _START), load_curve(space.seen, row + _END)
@@ -422,7 +423,8 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
             counts = elapsed - held_from
             may &= (counts > 0.0) & (_scale(space, regime, n) > 0.0) & ~(event == float(n))
             is_zero = _zero_order(space, n) > 1.0
-            is_zero |= ~(start.value == 0.0) & (start.value <= _ALL_BUT_ZERO * _scale(space, regime, n))
+            if system.impulsive != 0 and _functional(space, regime, n) % system.functionals_per_lash == GAP:
+                is_zero |= ~(start.value == 0.0) & (start.value <= _ALL_BUT_ZERO * _scale(space, regime, n))
             may &= ~(is_zero & (held_from <= 0.0))
             may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
         else:
