@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from helpers import reference
 
+import clunk
 from clunk.simulation.driveline import Driveline
+from clunk.simulation.energy import balance
 from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
@@ -46,6 +48,27 @@ def test_the_open_chain_can_drift(nominal):
     assert np.min(np.abs(modes.frequency - np.sqrt(31.3 / 0.002) / (2.0 * np.pi))) < 1e-9
     assert modes.overdamped[0] == pytest.approx(0.0, abs=1e-9)
     assert modes.overdamped[1] > 1.0
+
+
+def test_slow_modes_are_found_beside_a_part_that_all_but_weighs_nothing(nominal):
+    """Inertia 3 between a shaft and the lash, and a damped bearing that lets all of it drift."""
+    light = clunk.replace_values(nominal, {"driveline.inertias[3]": 1e-10})
+    lighter = clunk.replace_values(light, {"driveline.inertias[3]": 1e-12})
+    for closed in (True, False):
+        modes, others = (Driveline.from_study(study).modes(closed=closed) for study in (light, lighter))
+        assert others.frequency == pytest.approx(modes.frequency, rel=1e-6)
+        # LAPACK's rounding of the slowest is that of the fastest decay, 6e11 1/s
+        assert others.overdamped[:-1] == pytest.approx(modes.overdamped[:-1], rel=1e-5, abs=1e-4)
+
+
+def test_a_part_that_all_but_weighs_nothing_changes_nothing(nominal):
+    """Its springs are 1e16 times as stiff for it as the softest mode is for the rest."""
+    by_modes = nominal.but(solver=nominal.solver.but(method="exact"))
+    runs = [simulate(clunk.replace_values(by_modes, {"driveline.inertias[3]": each})) for each in (1e-9, 1e-12)]
+    assert len(runs[0].events) > 5
+    assert runs[1].events["time"] == pytest.approx(runs[0].events["time"], abs=1e-8)
+    assert runs[1].approach_velocity == pytest.approx(runs[0].approach_velocity, rel=1e-6)
+    assert balance(runs[1]).relative_residual < 1e-8
 
 
 def test_an_inertia_between_rigid_flanks_has_no_modes_where_they_hold_it():

@@ -10,6 +10,7 @@ from helpers.randomplants import element_plant
 
 import clunk
 from clunk.core.events import TOUCH
+from clunk.core.status import QUALITY_UNDECIDED
 from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
 
@@ -87,6 +88,44 @@ def test_flanks_without_a_gap_change_where_the_pull_exceeds_the_friction_beside_
     assert run.events["time"][1:] == pytest.approx([0.3] * 3, abs=1e-9)
     unmoved = mass(method, 1.0, backlash=0.0, before=2.0 * way, after=-0.9 * way)
     assert unmoved.touches == 0
+
+
+FRICTION_BESIDE = """
+[driveline]
+inertias = [0.02, 0.002, 0.004]
+shafts = [
+    {between = [1, 2], stiffness = 40.0, damping = 0.05},
+    {between = [3, "ground"], stiffness = 40.0, damping = 0.1},
+    {between = [2, 3], stiffness = 0.0, damping = 0.0, friction = 0.02},
+]
+[lash]
+between = [2, 3]
+backlash_deg = 5.0
+radius = 0.1
+contact = {model = "restitution", restitution = 0.0}
+[load]
+initial_torque = -5.0
+final_torque = -1.0
+[solver]
+method = "exact"
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 2.0
+stop = 8.0
+count = 61
+"""
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_friction_beside_flanks_leaves_margins_that_tell_how_near_another_label_is(restitution):
+    """Flanks that friction holds on each other, or that part beside it, are no near miss; nor is a torque it shares."""
+    study = clunk.study_from_text(FRICTION_BESIDE)
+    found = clunk.sweep(clunk.replace_values(study, {"lash.contact.restitution": restitution}), boundaries=False)
+    changes = np.count_nonzero(np.diff(found.sequence))
+    assert 2 <= changes <= 5
+    assert np.count_nonzero(found.quality & QUALITY_UNDECIDED) <= changes
+    assert np.abs(found.margin).min() > 1e-6
+    assert np.median(np.abs(found.margin)) < 0.2
 
 
 EQUAL_BRANCHES = """

@@ -54,7 +54,7 @@ MATCH = np.dtype(
 )
 
 _CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, either way
-_TOGETHER = 40_000  # measured values of candidates that are run together, each with all of its changes
+_TOGETHER = 4_000  # measured values of candidates that are run together, each with all of its changes: a second
 _OUTLIERS = 0.02  # share of measured quantities that are far off
 _OUTLIER_SCALE = 10.0  # of these, in standard deviations
 
@@ -93,8 +93,6 @@ class Candidates:
         matches = self.run(self.numbers(coordinates))
         self.coordinates = np.concatenate([self.coordinates, coordinates])
         self.matches = np.concatenate([self.matches, matches])
-        if self._progress is not None:
-            self._progress(len(self.matches), max(len(self.matches), self.fit.candidates + self.fit.draws))
         return losses(matches, self.wanted, self.fit)
 
     def numbers(self, coordinates: Floats) -> Floats:
@@ -107,7 +105,13 @@ class Candidates:
     def run(self, numbers: Floats) -> Records:
         """Run candidates, (n, d), at all operating points; returns MATCH, (n, points)."""
         together = max(1, _TOGETHER // self.points.size)
-        return np.concatenate([self._run_some(numbers[k : k + together]) for k in range(0, len(numbers), together)])
+        parts = [np.zeros((0, len(self.points)), MATCH)]
+        for k in range(0, len(numbers), together):
+            if self._progress is not None:
+                done = len(self.matches) + k
+                self._progress(done, max(done, self.fit.candidates + self.fit.draws))
+            parts.append(self._run_some(numbers[k : k + together]))
+        return np.concatenate(parts)
 
     def _run_some(self, numbers: Floats) -> Records:
         """Run as many candidates as there is memory for."""

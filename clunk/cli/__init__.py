@@ -22,7 +22,7 @@ from clunk.cli.options import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_TERMINATED, 
 from clunk.study.errors import ClunkError, ClunkWarning, nearest
 
 _COMMANDS = (
-    *("sweep", "plot", "explore", "simulate", "modes", "info", "report", "export", "init", "help", "completion"),
+    *("sweep", "plot", "explore", "simulate", "modes", "info", "report", "export", "init", "help"),
     *("compare", "fit", "verify", "sensitivity", "thresholds", "optimize", "reproduce"),
 )
 

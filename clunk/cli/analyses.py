@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import completion, tables, terminal
+from clunk.cli import tables, terminal
 from clunk.cli.options import (
     EXIT_FAILED_CELLS,
     EXIT_MISMATCH,
@@ -116,12 +116,13 @@ def optimize(
     files.check(picture, files.PICTURES, reads=config)
     terminal.warn_of_coarse_step(study)
     options["progress"] = True
+    interrupt = None
     try:
         found = optimisation.front(study, traded, **options) if traded else optimisation.optimize(study, **options)
     except KeyboardInterrupt as stopped:
-        for best in stopped.args:
-            tables.tell(best, as_json)
-        raise
+        if not stopped.args:
+            raise
+        found, interrupt = stopped.args[0], stopped
     tables.tell(found, as_json)
     points = found.points if isinstance(found, optimisation.Front) else (found,)
     for k, best in enumerate(points, 1):
@@ -129,6 +130,8 @@ def optimize(
             path = output.with_stem(f"{output.stem}-{k}") if traded else output
             files.write_text(path, to_toml(best.study))
             terminal.say_written(path)
+    if interrupt is not None:
+        raise interrupt
     if picture is not None:
         from clunk.plot import analyses, histories
 
@@ -209,7 +212,6 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     "--along",
     required=True,
     metavar="KEY",
-    shell_complete=completion.swept,
     help="The axis of CONFIG along which they are looked for.",
 )
 @click.option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import completion, terminal
+from clunk.cli import terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,7 +32,6 @@ set_option = click.option(
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    shell_complete=completion.assignments,
     help="Override a key of the config, for example --set load.ratio=7; a relative path is one from the current "
     "directory. May be repeated.",
 )
@@ -55,7 +54,6 @@ at_option = click.option(
     "at",
     multiple=True,
     metavar="KEY=VALUE",
-    shell_complete=completion.places,
     help="Value of a swept key, the nearest that its axis has. May be repeated.",
 )
 

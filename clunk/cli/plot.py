@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from clunk.cli import completion
 from clunk.cli.options import at_option, file_argument, nearest_values, output_option
 
 _NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
@@ -27,19 +26,15 @@ _LONGEST = 40  # signs of a lash's name that are in a file's
     "facets",
     multiple=True,
     metavar="KEY",
-    shell_complete=completion.swept,
     help="A map for each value; twice: rows, columns.",
 )
 @click.option("--lash", metavar="NAME", help="Of several lashes, this one; --facet lash: side by side [each].")
 @click.option(
     "--x",
     metavar="KEY",
-    shell_complete=completion.swept,
     help="From left to right, of axes walked together or of a sample.",
 )
-@click.option(
-    "--y", metavar="KEY", shell_complete=completion.swept, help="Upwards, of a sample; without it a quantity over --x."
-)
+@click.option("--y", metavar="KEY", help="Upwards, of a sample; without it a quantity over --x.")
 def plot(
     file: Path,
     output: Path | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import completion, tables, terminal
+from clunk.cli import tables, terminal
 from clunk.cli.options import PATH, at_option, cell_values, json_option, output_option, set_option, study_of
 from clunk.study.records import Told, fill, words
 
@@ -30,7 +30,6 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
 @click.option(
     "--overlay",
     metavar="KEY=V1,V2,…",
-    shell_complete=completion.assignments,
     multiple=True,
     help="A run for each value. May be repeated.",
 )

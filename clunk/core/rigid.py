@@ -225,10 +225,12 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
         if side in (0, now):
             continue
         is_carried = now == 0 and rubbing.is_carried(at, entry.regime, lash)
-        if not is_carried and first < 0 and entry.zero_guard < 0:
+        if now != 0:
+            _hold(system, held & ~(1 << lash), lash, x, 0.0)
+        elif not is_carried and first < 0 and entry.zero_guard < 0:
             first = lash  # released where it was held, but for what rounding has added up
-            _hold(system, held & ~(1 << lash), lash, x, side * at.inputs[gap_input(lash)])
-        elif now == 0:
+            _hold(system, held, lash, x, side * at.inputs[gap_input(lash)])
+        else:
             _part_by(_APART, at, held, lash, side)
         if is_carried:
             rubbing.stick_all(system, x, at.inputs)
@@ -243,13 +245,9 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
     if first < 0:
         return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)
     torque_held, slope, scale = holding_torque(at, entry.regime, first)
-    side, now = system.contacts[before, first].side, system.contacts[entry.regime, first].side
     # where a jump parts them, q'' is not zero; unless it presses, nothing but the load's slope may tell what zero is
-    clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time)
-    if now != 0:  # a jump of the load leaves a torque, which presses the other flank; else it is zero there
-        force = first * system.functionals_per_lash + FORCE
-        return Entry(count, entry.regime, -1 if clearly else guard_of(system, entry.regime, force, float(now)), 1)
-    clearly = clearly or side * slope > 0.0
+    side = system.contacts[before, first].side
+    clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time) or side * slope > 0.0
     return Entry(count, entry.regime, _touch_of(system, entry.regime, first, side), 2 if clearly else 3)
 
 

@@ -69,9 +69,7 @@ REGIME = np.dtype(
 CONTACT = np.dtype(
     [
         ("closed", "i8"),  # whether the flanks press on each other
-        ("side", "i8"),  # s
-        ("of_gap", "f8"),  # margins in it are relative to of_gap · φ/2 + of_rest · what is at rest
-        ("of_rest", "f8"),
+        ("side", "i8"),  # s; 0 between the flanks
     ],
     align=True,
 )
@@ -178,8 +176,6 @@ class _State(NamedTuple):
     weight: Number  # of the element's input in u; of a lash the side
     guards: list[_Guard]
     watched: tuple[_Guard, ...] = ()
-    of_gap: float = 0.0
-    of_rest: float = 1.0
 
 
 class _Element(NamedTuple):
@@ -199,7 +195,7 @@ def _lash_states(lashes: Lashes, k: int) -> list[_State]:
         _Guard(GAP, -side, 1.0, closed, TOUCH, 0 if order else -1, order, makes_margin=True)
         for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE))
     ]
-    states, parted_states = [_State(0, 0, touches, of_gap=2.0, of_rest=0.0)], []
+    states, parted_states = [_State(0, 0, touches)], []
     for reached, side in enumerate((1, -1)):  # the open state's guard of that flank
         overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, reached, 1, makes_margin=True)
         if lashes.are_rigid:
@@ -304,7 +300,7 @@ def build_tables(
         for e, (element, state) in enumerate(zip(elements, active, strict=True)):
             weights[..., k, element.input] = state.weight
             if e < count:
-                contacts[k, e] = (state.flow, sides[e], state.of_gap, state.of_rest)
+                contacts[k, e] = (state.flow, sides[e])
         for g, (e, guard) in enumerate(rows):
             successor, zero_guard = -1, -1
             if guard.successor >= 0:

@@ -64,9 +64,9 @@ def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Ge
     try:
         while True:
             workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
-            most, pace = grid.tile_cells, grid.pace[0]
-            if isinstance(engine, Threads):  # the pace of others is not known here
-                most = max(most // 8, 1) if pace == math.inf else min(most, max(FEW, math.ceil(_TILE / pace)))
+            most = grid.tile_cells
+            if grid.pace[0] < math.inf:  # as it is known of threads
+                most = min(most, max(FEW, math.ceil(_TILE / grid.pace[0])))
             while size := next_tile(waiting.size, len(running), count, workers, most):
                 # each of the last tiles has cells of all that is left: they take equally long
                 part = slice(0, None, -(-waiting.size // size)) if waiting.size <= workers * size else slice(size)

@@ -265,9 +265,13 @@ def _scale(chain: Chain) -> _Scaled:
 
 
 def _are_free(shapes: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which shapes twist no spring, or no damper, of a matrix: its terms cancel, however light the lightest part is."""
-    terms = np.abs(shapes) * (np.abs(matrix) @ np.abs(shapes))
-    return alike(np.sum(shapes * (matrix @ shapes), axis=-2) <= _ROUNDING * terms.sum(axis=-2))
+    """Which shapes twist no spring, or no damper, of a matrix: its terms cancel, however light the lightest part is.
+
+    Or there are none but for the rounding of the shapes, whose square is tiny.
+    """
+    terms = np.sum(np.abs(shapes) * (np.abs(matrix) @ np.abs(shapes)), axis=-2)
+    bound = np.maximum(terms, _ROUNDING * terms.max(axis=-1, initial=0.0, keepdims=True))
+    return alike(np.sum(shapes * (matrix @ shapes), axis=-2) <= _ROUNDING * bound)
 
 
 def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArray, FloatArray]:

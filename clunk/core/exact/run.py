@@ -97,10 +97,10 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own = space.numbers[slot, lash_at(space, lash) :]
         held_from = course.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
-        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * course.static
         own[rows.HELD_FROM] = held_from if contact.closed != 0 else -np.inf
         own[rows.SIDE] = -1.0 if mirrored else 1.0
-        own[rows.SCALE] = scale
+        # of margins: the gap between the flanks, or what is at rest in contact
+        own[rows.SCALE] = 2.0 * inputs[gap_input(lash)] if contact.side == 0 else course.static
     for n in range(entered.watched):
         numbers[rows.shift(n, system.lash_count)] = weigh(system.offsets[regime, n], inputs)
     push(space.pool, space.queues.enter + entered.group, slot)

@@ -96,9 +96,9 @@ def first_event(
     """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
 
     Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
-    guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides. Where
-    there is more than one element, so is one that is within an instant of it: another one's event may have been located
-    first; and a negative one within what `rubbing.choose_states` takes for zero.
+    guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides; a
+    negative one within what `rubbing.choose_states` takes for zero. Where there is more than one element, so is one
+    that is within an instant of it: another one's event may have been located first.
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
@@ -106,11 +106,10 @@ def first_event(
         p, scale, of_rate = _quartic(system, system.regimes[regime].flow, system.guards[regime, guard].functional, room)
         p = sign * p[0] + shift, sign * p[1], sign * p[2], sign * p[3], sign * p[4]
         order, scale = zero_order if guard == zero_guard else 0, scale + abs(shift)
-        rounding = below = ROUNDING * scale
+        rounding = ROUNDING * scale
         if system.element_count > 1:
             rounding = max(rounding, INSTANT * abs(p[1]))
-            below = max(rounding, WITHIN * scale)
-        if order == 0 and -below <= p[0] <= rounding:
+        if order == 0 and -max(rounding, WITHIN * scale) <= p[0] <= rounding:
             order = 1 if abs(p[1]) > ROUNDING * of_rate else 2
         for _ in range(order):
             p = p[1], p[2], p[3], p[4], 0.0
