@@ -68,7 +68,8 @@ def test_a_part_that_all_but_weighs_nothing_changes_nothing(nominal):
     assert len(runs[0].events) > 5
     assert runs[1].events["time"] == pytest.approx(runs[0].events["time"], abs=1e-8)
     assert runs[1].approach_velocity == pytest.approx(runs[0].approach_velocity, rel=1e-6)
-    assert balance(runs[1]).relative_residual < 1e-8
+    # the rounding of the fastest rate, 6e11 1/s, is 1e-4 1/s, and the run lasts 1 s; what it lost of the others was all
+    assert balance(runs[1]).relative_residual < 1e-5
 
 
 def test_an_inertia_between_rigid_flanks_has_no_modes_where_they_hold_it():
