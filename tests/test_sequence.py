@@ -18,7 +18,8 @@ def primaries(*happened, initial=-1, sticking_time=STICKING):
     events[0]["kind"], events[0]["lash"] = LOAD_STEP, -1
     for k, (time, kind, side) in enumerate(happened, start=1):
         events[k]["time"], events[k]["kind"], events[k]["side"] = time, kind, side
-    course = np.array([(initial, 0, -np.inf, np.inf)], COURSE).view(np.recarray)[0]
+    course = np.zeros(1, COURSE).view(np.recarray)[0]
+    course.last_side, course.contact_began = initial, -np.inf
     return [k for k, event in enumerate(events.view(np.recarray)) if take_event(course, event, sticking_time)]
 
 

@@ -206,7 +206,8 @@ def label_of(run: np.ndarray, initial_side: int, sticking_time: float) -> str:
     events = np.zeros(len(run) + 1, EVENT)
     events["side"][0] = initial_side
     events["time"][1:], events["kind"][1:], events["side"][1:] = run[:, 0], np.abs(run[:, 1]), np.sign(run[:, 1])
-    course = np.array([(initial_side, 0, -np.inf, np.inf)], COURSE).view(np.recarray)[0]
+    course = np.zeros(1, COURSE).view(np.recarray)[0]
+    course.last_side, course.contact_began = initial_side, -np.inf
     primaries = [take_event(course, event, sticking_time) for event in events.view(np.recarray)]
     return label(np.where(events["side"][primaries] == initial_side, INITIAL, OPPOSITE))
 

@@ -40,7 +40,7 @@ from clunk.core.status import QUALITY_GRAZING
 from clunk.core.sums import copy
 from clunk.core.tables import ACCELERATION, GAP
 
-_ALL_BUT_ZERO = 1e-9  # of the gap: flanks that are so near as a step begins rest on each other
+_ALL_BUT_ZERO = 1e-9  # of the gap: flanks that are so near as a phase begins rest on each other
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
 # Rows of `seen`: the functional at the step's beginning, and its sway; at its end; and its least and greatest values in
@@ -217,8 +217,7 @@ def _lash(space: Workspace, regime: int, n: int) -> int:
 @inlined_part
 def _scale(space: Workspace, regime: int, n: int) -> Vector:
     """The scale of the margin of guard n; 0 where it makes none."""
-    scale = field_of(space, rows.SCALE, _lash(space, regime, n))
-    return scale * float(space.system.guards[regime, n].makes_margin)
+    return field_of(space, rows.SCALE, _lash(space, regime, n)) * float(space.system.guards[regime, n].makes_margin)
 
 
 @inlined_part
@@ -409,7 +408,7 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
 
     That is an acceleration beyond its window, or a guard so low that it is a near miss. Guards that are zero with their
     slope at the beginning are passed over: there, rounding would show one; so are all but zero gaps of
-    rigid flanks, which rest on each other, or have been moved apart beside others.
+    rigid flanks as a phase begins, which rest on each other, or have been moved apart beside others.
     """
     system, elapsed, turns = space.system, field(space, rows.ELAPSED), 0
     watched = system.regimes[regime].watched
@@ -424,7 +423,8 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
             may &= (counts > 0.0) & (_scale(space, regime, n) > 0.0) & ~(event == float(n))
             is_zero = _zero_order(space, n) > 1.0
             if system.impulsive != 0 and _functional(space, regime, n) % system.functionals_per_lash == GAP:
-                is_zero |= ~(start.value == 0.0) & (start.value <= _ALL_BUT_ZERO * _scale(space, regime, n))
+                all_but = ~(start.value == 0.0) & (start.value <= _ALL_BUT_ZERO * _scale(space, regime, n))
+                is_zero |= all_but & (elapsed <= h)
             may &= ~(is_zero & (held_from <= 0.0))
             may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
         else:
