@@ -116,7 +116,7 @@ BROKEN_TRACES = {
     "nan time": ("0,-6\nnan,1\n", 'line 2: found "nan,1"'),
     "text": ("0,-6\n0.1,x\n", 'line 2: found "0.1,x"'),
     "decimal commas in columns of commas": ("0,0 -6,0\n0,1 -1,0\n", 'line 1: found "0,0 -6,0"'),
-    "thousands": ("0;1.000,5\n", 'line 1: found "0;1.000.5"'),
+    "thousands": ("0;1.000,5\n", 'line 1: found "0;1.000,5"'),
     "back in time": ("t,T\n0,-6\n0.2,1\n0.1,3\n", "line 4: found 0.1 after 0.2; times must not decrease"),
     "late": ("0.5,-6\n0.6,1\n", "line 1: found 0.5; the first time must be 0"),
     "three": ("0,1\n1,2\n1,3\n1,4\n", "line 4: found 1 for the third time"),

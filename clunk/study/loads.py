@@ -185,7 +185,7 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
         for row in reader:
             if row and _NUMBER.match(row[0].strip()):
                 lines.append(f"{path}, line {reader.line_num}")
-                points.append(_point([cell.replace(",", ".") for cell in row], delimiter, lines[-1]))
+                points.append(_point(row, delimiter, lines[-1]))
     except csv.Error as error:
         raise ConfigError(f"{path}, line {reader.line_num}: {error}.") from None
     if not 1 <= len(points) <= LONGEST_TABLE:
@@ -199,7 +199,7 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
 
 def _point(row: Sequence[str], delimiter: str, where: str) -> tuple[float, float]:
     with contextlib.suppress(ValueError):
-        time, torque = map(float, row[:2])
+        time, torque = (float(cell.replace(",", ".")) for cell in row[:2])
         if math.isfinite(time) and math.isfinite(torque):
             return time, torque
     raise ConfigError(f"{where}: found {shorten(delimiter.join(row))}; must be finite numbers, {_COLUMNS}.")
