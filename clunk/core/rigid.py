@@ -213,6 +213,8 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
 def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entry:
     """Separations of flanks at rest: of those closed in the regime before, and open in the one that is entered.
 
+    Or closed there on the other side, without a gap, which is a separation, a touch and a lock.
+
     touched : int
         The lashes that touch at this moment, as bits, whose flanks do not separate.
     """
@@ -263,7 +265,11 @@ def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
 
 @part
 def _locking_speed(at: Moment, log: Log, regime: int, lash: int, speed: float) -> float:
-    """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding."""
+    """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding.
+
+    speed : float  [rad/s]
+        Of a touch, which may be the fastest of the lash so far.
+    """
     tolerance, course = at.system.locking_speed[lash], log.courses[lash]
     course.fastest = max(course.fastest, abs(speed))
     # a rebound lower than the rounding of the gap cannot be followed

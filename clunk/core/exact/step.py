@@ -407,8 +407,8 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
     """Begin to search what counts of where functionals turn back within a step of time h; return the lanes.
 
     That is an acceleration beyond its window, or a guard so low that it is a near miss. Guards that are zero with their
-    slope at the beginning are passed over: there, rounding would show one; so are all but zero gaps of
-    rigid flanks as a phase begins, which rest on each other, or have been moved apart beside others.
+    slope at the beginning are passed over: there, rounding would show one. So are gaps of rigid flanks that are all but
+    zero as a phase begins: these rest on each other, or have been moved apart beside others.
     """
     system, elapsed, turns = space.system, field(space, rows.ELAPSED), 0
     watched = system.regimes[regime].watched
