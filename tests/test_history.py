@@ -200,6 +200,29 @@ def test_backlash_panels_are_those_of_figure_3_2():
     assert len(marks(figure, "primary")) == 2 * (0 + 1 + 3)
 
 
+def test_each_of_eight_inertias_has_a_colour_of_its_own():
+    shafts = ", ".join(f"{{between = [{k}, {k + 1}], stiffness = 300.0, damping = 0.3}}" for k in range(1, 7))
+    study = study_from_text(
+        f"""
+        [driveline]
+        inertias = [{", ".join(["0.1"] * 8)}]
+        shafts = [{shafts}, {{between = [8, "ground"], stiffness = 30.0, damping = 0.3}}]
+        [lash]
+        between = [7, 8]
+        backlash_deg = 3.0
+        radius = 0.05
+        contact = {{stiffness = 1e6, damping = 100.0}}
+        [load]
+        initial_torque = 20.0
+        final_torque = -3.0
+        """
+    )
+    figure = histories.history_figure([sample(simulate(study))])
+    names = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    colours = {line.get_color() for line in figure.axes[1].get_legend().get_lines()}
+    assert len(names) == len(colours) == 8
+
+
 def test_every_touch_is_marked_at_its_flank():
     trajectory = run()
     figure = histories.history_figure([recording("IFM")], "backlash")

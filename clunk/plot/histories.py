@@ -151,7 +151,8 @@ def outcome(run: History) -> str:
 def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Angle of every inertia in its colour, of each run in its dashes; where the driveline rolls, less its rolling."""
     names, notes = runs[0].study.driveline.names, []
-    for inertia, colour in zip(range(max(run.twist.shape[1] for run in runs)), cycle(LINE_COLOURS), strict=False):
+    colours = cycle([*LINE_COLOURS, *(style.tint(colour, 0.5) for colour in LINE_COLOURS)])
+    for inertia, colour in zip(range(max(run.twist.shape[1] for run in runs)), colours, strict=False):
         for run in runs:
             ax.plot(run.time, run.twist[:, inertia : inertia + 1], zorder=3, **looks[run.name] | {"color": colour})
         name = style.plain(names[inertia]) if names else ""
