@@ -463,6 +463,23 @@ def test_every_command_has_help_and_an_example_whose_options_are_real(command, n
         cli.get_command(None, name).make_context(name, arguments)  # raises UsageError
 
 
+def test_shells_complete_commands_and_options_by_what_click_has():
+    """As the README's line has them ask, and without what makes Tab wait."""
+    for words, found in (("clunk thr", "thresholds"), ("clunk sweep --rest", "--restart")):
+        asked = {"_CLUNK_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+        script = f"""
+import sys, atexit
+from clunk.cli import main
+atexit.register(lambda: print(sorted({HEAVY} & set(sys.modules))))
+sys.argv = ["clunk"]
+main()
+"""
+        done = subprocess.run(
+            [sys.executable, "-c", script], env=os.environ | asked, capture_output=True, text=True, check=False
+        )
+        assert done.stdout.splitlines() == [f"plain,{found}", "[]"], done.stderr
+
+
 def test_help_lists_its_topics_and_prints_one_as_it_is_where_no_terminal_is(command):
     code, out, _ = command("help")
     assert code == 0

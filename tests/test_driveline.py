@@ -51,7 +51,7 @@ def test_the_open_chain_can_drift(nominal):
 
 
 def test_slow_modes_are_found_beside_a_part_that_all_but_weighs_nothing(nominal):
-    """Inertia 3 between a shaft and the lash, and a damped bearing that lets all of it drift."""
+    """Inertia 3 is between a shaft and the lash: whatever little it weighs, the rest swings as it does without it."""
     light = clunk.replace_values(nominal, {"driveline.inertias[3]": 1e-10})
     lighter = clunk.replace_values(light, {"driveline.inertias[3]": 1e-12})
     for closed in (True, False):

@@ -237,7 +237,7 @@ class PointRuns:
     lash : position of the one whose outcome it is
     engine : of threads
     words : outcomes that have codes already; others get the next ones
-    progress : called after each batch with the number of points that have been run, and 0
+    progress : called as a batch begins and after each part of it with the number of points that have been run, and 0
     """
 
     def __init__(

@@ -183,7 +183,7 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
         base = regime
         for lash in range(system.lash_count):
             if (locked & ~closed) >> lash & 1:
-                base = parted(at, base, lash)
+                base = _parted(at, base, lash)
         for number in range(combinations):
             candidate, digits = base, number
             for j in range(count):  # first the one that the event is of
@@ -207,8 +207,8 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
 
 
 @inlined_part
-def parted(at: Moment, regime: int, lash: int) -> int:
-    """The regime in which rigid flanks that are closed have parted; without a gap they are so on the other side."""
+def _parted(at: Moment, regime: int, lash: int) -> int:
+    """The regime in which rigid flanks that are closed have parted; without a gap they close on the other side."""
     free, side = opened(at.system, regime, lash), at.system.contacts[regime, lash].side
     if at.inputs[gap_input(lash)] > 0.0:
         return free

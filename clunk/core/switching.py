@@ -138,10 +138,9 @@ def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log:
 def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
     """Whether the event buffer holds what one switch may write, and changes of stage that are not are not too many.
 
-    Of each rigid lash that is up to a separation, a touch and its lock.
+    That is an event, of each rigid lash a separation, a touch and its lock, and a friction that begins to slip.
     """
     system = at.system
-    # and one of the frictions may begin to slip
     most = 1 + 3 * system.lash_count * system.impulsive + (system.friction_count > 0)
     return count + most <= log.events.size and stages <= MOST_STAGES
 
