@@ -22,6 +22,7 @@ from clunk.core.lanes.vectors import WIDTH
 from clunk.core.tables import ACCELERATION, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
 from clunk.simulation.batches import of_system, prepare_one
+from clunk.simulation.energy import balance
 
 # Rounding of a few products of tables that are each good to some 1e-15, and a modal basis to its condition (up to 1e4).
 TIGHT = 1e-11
@@ -95,6 +96,16 @@ def test_a_part_that_only_a_bearing_brakes_stands_still_at_last():
     one, other, last = (each["time"][:20] for each in events)
     assert last == pytest.approx(other, abs=1e-6)
     assert np.abs(one - last).max() == pytest.approx(11.0 * np.abs(other - last).max(), rel=0.05)
+
+
+@pytest.mark.parametrize("damping", [1e-12, 1e-11, 1e-10, 1e-9, 1e-8])
+def test_a_bearing_that_all_but_brakes_nothing_changes_next_to_nothing(damping):
+    """The speed that it would allow at last, of up to 1e12 rad/s, is no origin to measure speeds from."""
+    study = clunk.load_study(CONFIGS / "nominal.toml", ['solver.method="exact"', "driveline.shafts[4].damping=0"])
+    free, braked = map(clunk.simulate, (study, clunk.replace_values(study, {"driveline.shafts[4].damping": damping})))
+    # what it takes itself: c t/J of a speed; and the rounding of speeds from where they are steady at last
+    assert braked.events["time"] == pytest.approx(free.events["time"], abs=1e-7 + 100.0 * damping)
+    assert balance(braked).relative_residual < 1e-7
 
 
 def sizes(y):

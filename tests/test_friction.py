@@ -136,6 +136,15 @@ def test_three_that_hold_two_inertias_give_way_where_that_is_easiest(frictions, 
     assert gives_way == pytest.approx(min(one + 1.5, one + other) / 10.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("stiffness", [5e6, 1e7])
+def test_beside_a_stiff_shaft_that_sticks_a_free_part_stays_free(stiffness):
+    """In the open gap nothing holds inertias 1 to 3: the rounding of a spring that is held must not do so either."""
+    shaft = f"driveline.shafts[2].stiffness={stiffness}", "driveline.shafts[2].friction=0.008"
+    run = simulate(nominal(*METHODS["exact"], *shaft, "solver.end_time=0.3"))
+    assert run.label == "DS(1)"
+    assert balance(run).relative_residual < 1e-8  # of some 1e4 swings of that shaft, each rounded
+
+
 @pytest.mark.parametrize("drag", [0.01, 0.0])
 @pytest.mark.parametrize("method", METHODS)
 def test_a_friction_that_slips_before_the_load_step_is_refused(method, drag):

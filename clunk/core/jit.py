@@ -31,20 +31,9 @@ def _configure() -> None:
     numba.config.CACHE_DIR = str(_writable(directory))  # type: ignore[attr-defined]  # numba makes it at run time
     with contextlib.suppress(OSError):
         os.utime(directory)
-        _remove_unused(directory)
-
-
-def _remove_unused(used: Path) -> None:
-    """Remove the kernels of other digests that were last used `_KEPT_DAYS` ago."""
-    for directory in used.parent.glob("kernels-*"):
-        if directory != used and time.time() - directory.stat().st_mtime > _KEPT_DAYS * 86400:
-            shutil.rmtree(directory, ignore_errors=True)
-
-
-def is_cold(method: str) -> bool:
-    """Whether the kernels of a method, "rk4" or "exact", are yet to be compiled and kept."""
-    directory = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
-    return not any(directory.glob(f"**/tile.by_{method}-*.nbi"))
+        for kept in directory.parent.glob("kernels-*"):
+            if time.time() - kept.stat().st_mtime > _KEPT_DAYS * 86400:
+                shutil.rmtree(kept, ignore_errors=True)
 
 
 def _digest() -> str:

@@ -13,7 +13,7 @@ from clunk.core import tables
 from clunk.core.arrays import ComplexArray, FloatArray
 from clunk.core.batches import alike
 from clunk.core.exact.flows import Chain, Flows, build_flows
-from clunk.core.reductions import Reduction, chain, constrained, locked, product
+from clunk.core.reductions import chain, constrained, locked, product
 from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, driveline_at, rolling_apart
 from clunk.core.status import Status
 from clunk.core.tables import Friction, StagedShaft
@@ -304,16 +304,25 @@ def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[Flo
     """Damping and stiffness in each flow, without its constraints."""
     staged = [shaft for _, shaft in driveline.staged]
     flows = flows_of(len(study.lashes), staged, len(driveline.frictions))
-    return {
-        each: driveline.in_stages(each.stages).matrices(closed=False if study.has_rigid_flanks else each.closed)
-        for each in flows
-    }
+    return {each: driveline.in_stages(each.stages).matrices(closed=_in_contact(study, each)) for each in flows}
+
+
+def _in_contact(study: Study, flow: tables.FlowOf) -> Sequence[int] | bool:
+    """Whether each lash, or none, is a spring and a damper in a flow: rigid flanks are not."""
+    return False if study.has_rigid_flanks else flow.closed
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
+    """Tables of each flow, from its matrices in the angles that its ties leave free.
+
+    They are made of twists in these angles: of one that is held nothing is left, where a product of matrices leaves
+    rounding of the stiffest spring, by which a part that nothing holds would come back.
+    """
+    n, inertia = driveline.inertia.shape[-1], np.atleast_2d(driveline.inertia)
     rubbing, chains = [friction.twist[..., None, :] for friction, _ in driveline.frictions], []
     twists = np.concatenate([driveline.lashes, *rubbing], axis=-2)
-    for (closed, stages, stuck), of_flow in _chains(study, driveline).items():
+    for flow, of_flow in _chains(study, driveline).items():
+        (closed, stages, stuck), inertias, matrices = flow, inertia, of_flow
         line = driveline.in_stages(stages)
         if not stages and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
             parts = driveline.rigid_motion.shape
@@ -321,7 +330,13 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
             tied = twists[..., np.array([*closed, *stuck]) > 0, :]
             parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
         ties = constrained(twists, [*(system.impulsive * lash for lash in closed), *stuck])
-        chains.append(_chain(np.atleast_2d(driveline.inertia), *of_flow, ties, parts))
+        left = ties.expand.shape[-1] // 2
+        if left < n:  # each row of the basis has one entry at most: its inertias stay diagonal
+            basis, parts = ties.expand[..., :n, :left], ties.pick[..., :left, :n] @ parts
+            inertias = (inertia[..., None, :] @ basis**2)[..., 0, :]
+            line = replace(line, shafts=product(line.shafts, basis), lashes=product(line.lashes, basis))
+            matrices = line.matrices(closed=_in_contact(study, flow))
+        chains.append(Chain(inertias, *matrices, *ties, parts))
     held = held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
     system = system if driveline.varied else driveline_at(system, None)
     # no ramp that is no input
@@ -370,26 +385,6 @@ def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list
     shafts = lashes + len(staged)
     every = tables.combinations([2] * lashes + [shaft.stiffness.shape[-1] for shaft in staged] + [2] * frictions)
     return [tables.FlowOf(active[:lashes], active[lashes:shafts], active[shafts:]) for active in every]
-
-
-def _chain(
-    inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, ties: Reduction, parts: FloatArray
-) -> Chain:
-    """The chain with ties; each row of its basis has one entry at most: its inertias stay diagonal."""
-    n, left = inertia.shape[-1], ties.expand.shape[-1] // 2
-    if left == n:
-        return Chain(inertia, damping, stiffness, *ties, parts)
-    basis, pick = ties.expand[..., :n, :left], ties.pick[..., :left, :n]
-    tied = (inertia[..., None, :] @ basis**2)[..., 0, :]
-    return Chain(tied, _tied(damping, basis), _tied(stiffness, basis), *ties, pick @ parts)
-
-
-def _tied(matrix: FloatArray, basis: FloatArray) -> FloatArray:
-    """A stiffness or damping in the angles that ties leave; what they cancel is zero to the last bit."""
-    across = basis.swapaxes(-1, -2)
-    tied = across @ matrix @ basis
-    tied[np.abs(tied) <= _ROUNDING * (np.abs(across) @ np.abs(matrix) @ np.abs(basis))] = 0.0
-    return tied
 
 
 def steady_stages(study: Study) -> dict[int, int]:

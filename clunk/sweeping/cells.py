@@ -10,14 +10,15 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core import tile as kernel
 from clunk.core.events import EVENT
-from clunk.core.jit import is_cold
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.status import QUALITY_UNDECIDED, Status
@@ -363,7 +364,9 @@ def _joined(records: Records, layout: np.dtype[np.void], columns: Floats) -> Rec
 
 def compiling_note(*studies: Study) -> str:
     """Sentence on the time that the kernels of these studies take to compile; empty where that has been done."""
-    cold = sorted({study.solver.method for study in studies if is_cold(study.solver.method)})
+    kept = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]  # numba makes it at run time
+    methods = sorted({study.solver.method for study in studies})
+    cold = [method for method in methods if not any(kept.glob(f"**/tile.by_{method}-*.nbi"))]
     seconds = sum(_COMPILING[method] for method in cold)
     return f"compiling {' and '.join(cold)}, once for this installation (about {seconds} s) …" if cold else ""
 

@@ -60,6 +60,9 @@ _MAX_CONDITION = 4e4  # of unit eigenvectors in energy coordinates, by Frobenius
 _TINY = 1e-300  # instead of zero, as a divisor
 _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
+# a drift's decay, of the softest mode's rate, that is none: a speed that is steady at last would be a difference of
+# numbers so much larger
+_TOO_SLOW = 1e-10
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _GROWTH = math.exp(_SHORTEST / 2.0)
 _FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
@@ -243,16 +246,18 @@ def _scale(chain: Chain) -> _Scaled:
     squared, rotated = _undamped_modes(chain.stiffness / (root * root.swapaxes(-1, -2)), root * chain.rigid)
     shapes = rotated / root
     free = _are_free(shapes, chain.stiffness)
-    if np.count_nonzero(free) > 1:  # among the free shapes those apart that are not damped either
+    if free.sum() > 1:  # among the free shapes those apart that are not damped either
         damped = shapes[..., free].swapaxes(-1, -2) @ chain.damping @ shapes[..., free]
         shapes[..., free] = shapes[..., free] @ np.linalg.eigh(damped)[1]
     across = shapes.swapaxes(-1, -2)
     stiffness, damping = across @ chain.stiffness @ shapes, across @ chain.damping @ shapes
     stiffness[:, free], stiffness[..., free] = 0.0, 0.0
-    undamped = free & _are_free(shapes, chain.damping)
+    softest = squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True)
+    softest[np.isinf(softest)] = 1.0
+    is_slow = alike(damping.diagonal(0, -2, -1) <= _TOO_SLOW * softest**0.5)
+    undamped = free & (is_slow | _are_free(shapes, chain.damping))
     damping[:, undamped], damping[..., undamped] = 0.0, 0.0
-    squared = np.where(free, squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True), squared)
-    squared[np.isinf(squared)] = 1.0
+    squared = np.where(free, softest, squared)
 
     frequency, each = np.sqrt(squared), np.arange(m)
     generator, into, back = np.zeros((3, count, 2 * m, 2 * m))
@@ -320,7 +325,7 @@ def _with_wave(
     count, size = drive.shape
     rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # of w1 + i w2
     swings = np.sqrt(np.maximum(-block * block.swapaxes(-1, -2), 0.0)).sum(axis=-1)
-    away = np.abs(block.diagonal(axis1=-2, axis2=-1) - 1j * swings - rate).min(axis=-1, initial=np.inf)
+    away = np.abs(block.diagonal(0, -2, -1) - 1j * swings - rate).min(axis=-1, initial=np.inf)
     modal = modal and not alike(away <= _RESONANCE * np.abs(rate[:, 0]), 0)
     (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))
     pushed[..., 0] = drive
@@ -346,7 +351,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     count, size, _ = generator.shape
     stays, moved = np.flatnonzero(~drift), np.flatnonzero(drift)
     half = size // 2
-    frequency = generator[:, :half, half:].diagonal(axis1=-2, axis2=-1)
+    frequency = generator[:, :half, half:].diagonal(0, -2, -1)
     damping, stiffness = -generator[:, half:, half:], -generator[:, half:, :half] * frequency[:, None]
     modes, eigenvalues = _first_guesses(stiffness, damping, np.flatnonzero(~drift[half:]))
     shapes = np.empty((count, half, modes.size), complex)
@@ -501,7 +506,7 @@ def _first_guesses(stiffness: FloatArray, damping: FloatArray, modes: IntArray) 
 
     Those of which any is overdamped come twice, where they swing with the conjugate.
     """
-    half, squared = (array.diagonal(axis1=-2, axis2=-1)[:, modes] for array in (0.5 * damping, stiffness))
+    half, squared = (array.diagonal(0, -2, -1)[:, modes] for array in (0.5 * damping, stiffness))
     over = half * half - squared
     swing = np.sqrt(over.astype(complex))
     guesses, twice = np.where(squared > 0.0, swing - half, -2.0 * half), ((over > 0.0) & (squared > 0.0)).any(axis=0)
