@@ -132,6 +132,7 @@ def test_measures_are_those_of_the_sampled_motion(names, overrides):
     totals, of_impacts = measured(run)
     assert pytest.approx(impacts, rel=CLOSE, nan_ok=True) == np.array([of_impacts[name] for name in OF_IMPACTS]).T
     roots = dict(zip(OF_IMPACTS, np.sqrt(np.sum(impacts**2, axis=0)), strict=True))
+    roots["peak_torque"] = impacts[:, 1].max(initial=0.0)
     assert totals == pytest.approx(roots | {name: measures[name] for name in names}, rel=CLOSE, nan_ok=True)
 
 

@@ -25,9 +25,8 @@ from clunk.core.references import refer, reference_at, rows_of
 from clunk.core.regimes import System, overlap_of, speed_of
 from clunk.core.rigid import held_with
 from clunk.core.runs import begin_wave, end_of_piece, piece_at, set_gaps, set_torque
-from clunk.core.severity import root_of_squares
 from clunk.core.status import OK
-from clunk.core.sums import combine, copy
+from clunk.core.sums import combine, copy, root_of_squares
 from clunk.core.switching import set_weighed
 from clunk.core.tile import Batch, Cases, Output
 
@@ -37,7 +36,7 @@ _HALVINGS = 30  # of an interval with a turn: to 1e-9 of it, the value there to 
 _FROM_MIDDLE, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # exact up to degree 23, and to rounding for the square
 _NODES = 0.5 + 0.5 * _FROM_MIDDLE  # of the interval
 
-IMPULSE, PEAK_TORQUE, ENERGY = range(3)  # of an impact, and the roots of their summed squares of a run
+IMPULSE, PEAK_TORQUE, ENERGY = range(3)  # of an impact; of a run the largest, and roots of summed squares
 OF_IMPACTS = 3
 
 
@@ -154,6 +153,9 @@ def _measure(
         first, last = room.first[lash], room.first[lash + 1]
         for j in range(OF_IMPACTS):
             totals[lash, j] = root_of_squares(room.of_impacts[first:last, j], last - first)
+        totals[lash, PEAK_TORQUE] = 0.0
+        for i in range(first, last):
+            totals[lash, PEAK_TORQUE] = np.maximum(totals[lash, PEAK_TORQUE], room.of_impacts[i, PEAK_TORQUE])
         for m in range(channels.swings.size):
             low, high = room.ranges[OF_LASH * lashes + m, 0], room.ranges[OF_LASH * lashes + m, 1]
             totals[lash, OF_IMPACTS + m] = high - low if channels.swings[m] else max(-low, high)

@@ -1,7 +1,9 @@
 """Sums of products, and copies, of a few numbers: within kernels, which allocate nothing."""
 
+import numpy as np
+
 from clunk.core.arrays import FloatArray
-from clunk.core.jit import inlined_part, part
+from clunk.core.jit import compiled, inlined_part, part
 
 
 @inlined_part
@@ -27,3 +29,12 @@ def copy(numbers: FloatArray, to: FloatArray) -> None:
     """Copy numbers to where there is room for as many or more."""
     for k in range(numbers.size):
         to[k] = numbers[k]
+
+
+@compiled
+def root_of_squares(values: FloatArray, count: int) -> float:
+    """The square root of the sum of the squares of `values[:count]`, summed in order."""
+    total = 0.0
+    for i in range(count):
+        total += values[i] ** 2
+    return np.sqrt(total)

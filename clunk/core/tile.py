@@ -295,6 +295,10 @@ def _finish(
     """Write the results of a run to cell k, and its primary impacts from `first` on; return how many they are.
 
     Those that there is no room for are left out. Its log is copied as far as that is wanted.
+
+    Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3; V = sqrt(sum v_i²), v_i = |q'| just
+    before. The window of a primary impact runs from its touch, right limit included, up to the next primary or the end
+    of the run, gap phases included, with the one-sided limits at every event.
     """
     for i in range(outcome.written if output.logs.size > 0 else 0):
         output.logs[k, i] = log.events[i]

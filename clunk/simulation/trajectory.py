@@ -10,8 +10,8 @@ from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, STAGE, TOUCH
 from clunk.core.exact.margins import MOST
 from clunk.core.sequence import INITIAL, OPPOSITE, label
-from clunk.core.severity import root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
+from clunk.core.sums import root_of_squares
 from clunk.simulation import driveline
 from clunk.simulation.batches import of_system, prepare_one
 from clunk.simulation.load import cases_of
