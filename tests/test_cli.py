@@ -16,10 +16,11 @@ from conftest import EXACT, axis
 from matplotlib.text import Text
 
 from clunk.api import draw
-from clunk.cli import cli
+from clunk.cli import cli, tables
 from clunk.core.status import QUALITY_COMPLETE
 from clunk.results.store import read_results
 from clunk.study.config import load_study
+from clunk.study.records import table
 
 ROOT = Path(__file__).parent.parent
 SMALL = f'title = "Small"\n{EXACT}[sweep]\nboundaries = false\n'
@@ -196,6 +197,30 @@ def test_simulate_of_a_sweep_takes_the_config_s_own_values_where_none_are_named(
     assert "SS(1)" in out
 
 
+def test_of_many_labels_those_of_most_cells_are_printed(command, small, monkeypatch):
+    _, whole, _ = command("sweep", small)
+    assert "more" not in whole
+    assert "labels of" not in whole
+    monkeypatch.setattr(tables, "_MOST_LABELS", 2)
+    _, out, _ = command("info", "results/small.h5")
+    counts = json.loads(command("info", "results/small.h5", "--json")[1])["counts"]
+    ordered = sorted((count for count in counts.values() if count), reverse=True)
+    rows = re.findall(r"^  (\S+) +(\d+) .*%$", out, flags=re.MULTILINE)
+    assert [int(cells) for _, cells in rows] == [count for count in counts.values() if count > ordered[2]]
+    assert f"and {len(ordered) - len(rows)} labels of {ordered[2]} cells or fewer each" in out
+
+
+def test_a_label_too_long_for_a_row_comes_last_in_it_and_breaks_between_groups():
+    long = "OS(1)DS(12)SS(3)" * 4
+    told = table([{"label": "NI", "cells": "12"}, {"label": long, "cells": "3"}], width=40)
+    head, *lines = "\n".join(told).splitlines()
+    assert head.split() == ["cells", "label"]
+    assert max(map(len, lines)) <= 40
+    assert lines[0].split() == ["12", "NI"]
+    assert all(line.endswith(")") for line in lines[1:])
+    assert "".join(lines[1:]).replace(" ", "") == f"3{long}"
+
+
 def test_simulate_draws_and_saves_runs_and_overlays(command, here):
     config = ROOT / "configs/nominal.toml"
     for figure in ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap"):
@@ -211,6 +236,21 @@ def test_simulate_draws_and_saves_runs_and_overlays(command, here):
     code, out, _ = command("simulate", config, "--overlay", "lash.contact.model=indentation,restitution", "--json")
     assert code == 0
     assert [run["severity"] is None for run in json.loads(out)] == [False, True]
+
+
+def test_a_swept_key_is_overlaid_with_values_of_its_own(command, small, here):
+    overlay = ("--overlay", "load.ratio=2,5.5")
+    code, out, err = command("simulate", small, *overlay, "--at", "lash.backlash_deg=5", "--json")
+    assert (code, err) == (0, "")
+    runs = json.loads(out)
+    assert [run["run"] for run in runs] == ["load.ratio=2", "load.ratio=5.5"]
+    (here / "one.toml").write_text(EXACT)
+    one = ("simulate", "one.toml", "--set", "lash.backlash_deg=5")
+    alone = [json.loads(command(*one, "--set", run["run"], "--json")[1]) for run in runs]
+    assert [run["severity"] for run in runs] == [run["severity"] for run in alone]
+    code, _, err = command("simulate", small, "--overlay", "load.ratoi=2,5")
+    assert code == 2
+    assert "--overlay load.ratoi: unknown key" in err
 
 
 def test_compare_tells_equal_from_different(command, small, here):

@@ -212,7 +212,7 @@ class TestCommandLine:
             (["four.h5", *FACETS, "--at", "load.ratio=1"], "needs two axes"),
             (["four.h5", "--x", "load.ratio"], "x and y are for axes that are walked together and for samples"),
             (["four.h5", "--at", "load.ration=1"], "must be KEY=VALUE of what is swept: load.ratio: "),
-            (["four.h5", "--at", "load.ratio=11"], "swept: load.ratio: 0 to 10"),
+            (["four.h5", "--at", "load.ratio=11"], "load.ratio is swept from 0 to 10; 11 is not on it."),
             (["zip.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
             (["sample.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
             (["sample.h5", "--facet", "run"], "needs two axes"),

@@ -161,6 +161,19 @@ def test_conditions_that_nothing_meets_are_said_and_the_nearest_is_given(brief):
     assert " ".join(text_of(best).split()).startswith(sentence)
 
 
+@pytest.mark.parametrize("condition", ["double_sided=0", "label=NI"])
+def test_where_nothing_meets_a_condition_on_impacts_the_gentlest_ones_are_nearest(brief, condition):
+    study = damped_ramp(subject_to=[condition], longest=0.05)
+    best = optimize(study)
+    assert not best.holds
+    values = [np.linspace(free.low, free.high, 41) for free in study.optimize.parameters]
+    keys = [key for free in study.optimize.parameters for key in free.keys]
+    grid = dict(zip(keys, map(np.ravel, np.meshgrid(*values)), strict=True))
+    points = {key: np.append(best.parameters[key], column) for key, column in grid.items()}
+    speed = clunk.run_points(study, points).approach_velocity
+    assert speed[0] <= speed.min()
+
+
 @pytest.mark.parametrize(
     ("minimize", "condition", "start"),
     [("last_event_time", "primary_impacts>=1", "load.duration=0.3"), ("severity", "touches>=2", "solver.max_events=8")],

@@ -263,7 +263,7 @@ def test_what_never_changes_is_said_and_no_error(command):
     [
         (["-o", "t.txt"], 2, "must end in .csv, .json, .png, .svg, .pdf"),
         (["-o", "t.png"], 2, "no other axis to draw thresholds over"),
-        (["--at", "load.ratio=5"], 2, "must be KEY=VALUE of what is swept: nothing"),
+        (["--at", "load.ratio=5"], 2, "nothing is swept; --set load.ratio=5 gives a key its value"),
         (["--of", "severty<=8000"], 2, "did you mean severity?"),
         (["--set", "solver.max_events=8"], 3, "runs failed: more events than solver.max_events allows"),
     ],

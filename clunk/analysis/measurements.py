@@ -202,9 +202,9 @@ class Point(Record):
 
     @property
     @tells("agrees")
-    def agrees(self) -> bool:
-        """Whether the labels are the same."""
-        return self.counts and self.measured == self.computed
+    def agrees(self) -> bool | None:
+        """Whether the labels are the same; None where there is no cell."""
+        return None if self.computed is None else self.counts and self.measured == self.computed
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
     points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
     trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis) > 1)
     inside = [point for point in points if point.counts]
-    agreeing, failed = sum(point.agrees for point in inside), sum(point.computed == FAILED for point in points)
+    agreeing, failed = sum(point.agrees is True for point in inside), sum(point.computed == FAILED for point in points)
     return ExperimentComparison(
         title=results.title,
         points=points,

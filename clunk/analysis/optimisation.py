@@ -209,10 +209,11 @@ class Problem:
         self.runs += results.sequence.size
         found = [results.margin, *(quantity.compared(results) for quantity in self._numbers)]
         for condition in self._conditions:
-            # a number lacks its distance from its bound, a label the speed of the impacts
+            # a number lacks its distance from its bound; a label, or what holds or not, the speed of the impacts
             beyond = results.approach_velocity
-            if condition.base is not None and isinstance(condition.bound, float):
-                beyond = np.abs(condition.base.of_runs(results) - condition.bound) / (abs(condition.bound) or 1.0)
+            base, bound = condition.base, condition.bound
+            if base is not None and base.type != YES_NO and isinstance(bound, float):
+                beyond = np.abs(base.of_runs(results) - bound) / (abs(bound) or 1.0)
             is_met = condition.of_runs(results) == 1.0  # NaN where a run failed
             found.append(np.where(is_met, 0.0, 0.1 + beyond))
         return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))

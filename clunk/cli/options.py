@@ -11,7 +11,7 @@ import click
 from clunk.cli import terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from clunk.study.axes import ResultAxis
     from clunk.study.study import Study
@@ -76,10 +76,12 @@ def study_of(source: Path, overrides: Sequence[str] = ()) -> Study:
     return study_from_text(read_map(source).config, f"the config in {source}", overrides)
 
 
-def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
+def cell_values(
+    study: Study, at: tuple[str, ...], *, all_needed: bool, but: Collection[str] = ()
+) -> dict[str, float]:
     """Values of swept keys that --at names; a `run` stands for the values of its coordinates.
 
-    Where not all are needed, a key that is not named keeps the config's own value.
+    Where not all are needed, a key that is not named keeps the config's own value. Some keys get theirs elsewhere.
     """
     from clunk.study.axes import RUN
     from clunk.study.designs import design_of
@@ -87,7 +89,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
 
     design = design_of(study)
     named = nearest_values(design.axes, at, study)
-    missing = [axis for axis in design.axes if axis.parameter not in named]
+    missing = [axis for axis in design.axes if axis.parameter not in (*named, *but)]
     if missing and all_needed:
         raise click.UsageError(f"Which cell? Also name by --at KEY=VALUE: {_spreads(missing)}.")
     unnamed = [each for axis in missing for each in axis.parameters]
@@ -113,12 +115,17 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
     for assignment in at:
         name, text = assigned(assignment)
         (key,) = numbered([name], document)
+        if not axes:
+            raise click.UsageError(f"--at {assignment}: nothing is swept; --set {assignment} gives a key its value.")
         try:
             axis, wanted = swept[key], float(text or "")
-            nearest = float(axis.values[axis.nearest(wanted)])
-        except (KeyError, ValueError, ClunkError):
-            there = _spreads(axes) or "nothing"
+        except (KeyError, ValueError):
+            there = _spreads(axes)
             raise click.UsageError(f"--at {assignment}: must be KEY=VALUE of what is swept: {there}.") from None
+        try:
+            nearest = float(axis.values[axis.nearest(wanted)])
+        except ClunkError as error:
+            raise click.UsageError(f"--at {assignment}: {error}") from None
         values[key] = nearest
         if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
             terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")

@@ -99,8 +99,11 @@ def _studies_to_simulate(
     """Names and studies of the runs to make: one, or one for each combination of overlaid values."""
     from itertools import product
 
+    from clunk.study.config import study_from_text
     from clunk.study.document import assigned
-    from clunk.study.study import replace_values
+    from clunk.study.errors import ClunkError
+    from clunk.study.parameters import numbered
+    from clunk.study.study import replace_values, to_toml
 
     choices: dict[str, list[str]] = {}
     for assignment in overlay:
@@ -108,15 +111,21 @@ def _studies_to_simulate(
         if not listed:
             raise click.UsageError(f"--overlay {assignment}: must be KEY=V1,V2, for example load.ratio=1,2,5.")
         choices.setdefault(key, []).extend(f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed))
-    studies: list[tuple[str, Study]] = []
-    for chosen in product(*choices.values()):
-        study = study_of(source, [*overrides, *chosen])
-        values = cell_values(study, at, all_needed=source.suffix == ".h5")
-        if study.swept.tolerances and not studies:
-            terminal.complain("tolerances are left aside; this is the nominal run")
-        single = replace_values(study.but(sweep=None), values)
-        studies.append((", ".join(chosen) or study.title, single))
-    return studies
+    study = study_of(source, overrides)
+    overlaid = numbered([*choices], study)
+    values = cell_values(study, at, all_needed=source.suffix == ".h5", but=overlaid)
+    if study.swept.tolerances:
+        terminal.complain("tolerances are left aside; this is the nominal run")
+    single = replace_values(study.but(sweep=None), values)
+    if not choices:
+        return [(study.title, single)]
+    config = to_toml(single)
+    try:
+        return [
+            (", ".join(chosen), study_from_text(config, str(source), chosen)) for chosen in product(*choices.values())
+        ]
+    except ClunkError as error:
+        raise ClunkError(str(error).replace("--set", "--overlay")) from None
 
 
 def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str) -> None:

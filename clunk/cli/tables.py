@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.study.records import Record, Row, plain, table, text_of, value_lines
+from clunk.study.records import Record, Row, counted, plain, table, text_of, value_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from clunk.results.maps import AnyMap
+
+_MOST_LABELS = 24  # a screen
 
 
 def print_record(record: object) -> None:
@@ -44,11 +46,22 @@ def of_lashes(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def print_outcomes(results: AnyMap) -> None:
-    """Print how many cells each label has, or how likely it is, and other facts; lash by lash."""
+    """Print how many cells each label has, or how likely it is, and other facts; lash by lash.
+
+    Of many labels these are the ones that most cells have.
+    """
     for k, (name, part) in enumerate(results.by_lash().items()):
         if results.lashes:
             click.echo(("\n" if k else "") + name)
-        print_table(part.label_table())
+        rows, counts = part.label_table(), part.counts()
+        if len(rows) > _MOST_LABELS:
+            least = sorted((counts[row["label"]] for row in rows), reverse=True)[_MOST_LABELS]
+            shown = [row for row in rows if counts[row["label"]] > least]
+            print_table(shown)
+            few = counted(least, "cell") + " or fewer" * (least > 0)
+            click.echo(f"  and {len(rows) - len(shown):,} labels of {few} each; --json prints all")
+        else:
+            print_table(rows)
         click.echo()
         print_values(part.facts)
 

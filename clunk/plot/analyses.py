@@ -78,7 +78,9 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
 
     Raises PlotError unless two axes were swept.
     """
-    inside = [(point.at, point.measured, point.agrees) for point in comparison.points if point.computed is not None]
+    inside = [
+        (point.at, point.measured, bool(point.agrees)) for point in comparison.points if point.computed is not None
+    ]
     layers = _with_points(results, inside)
     facts = (*layers.facts, f"points: measured, {comparison.experiment}", comparison.caveat)
     outside = (Note(f"outside the map, not counted: {comparison.outside}", ""),) if comparison.outside else ()

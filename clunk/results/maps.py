@@ -490,7 +490,7 @@ class ToleranceMap(Map):
         """See `Map.label_table`: the cells in which it is the most likely one, and its share of all runs."""
         counts = self.counts()
         return [
-            {"label": label, "cells where it is most likely": f"{counts[label]:,}", "share of all runs": f"{part:.4%}"}
+            {"label": label, "cells, most likely": f"{counts[label]:,}", "share of runs": f"{part:.4%}"}
             for label, part in self.shares().items()
             if part
         ]

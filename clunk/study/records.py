@@ -9,6 +9,7 @@ then records and tables of records, each under its heading. What has no heading 
 """
 
 import math
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -21,6 +22,7 @@ Rows = Sequence[tuple[str, str]]
 Getter = TypeVar("Getter", bound=Callable[[Any], Any])
 
 _LEFT = ' style="text-align: left"'  # browsers centre the headings of tables
+_MOST_BESIDE = 0.7  # of the width, that is taken by all columns but the widest
 _MOST = 30  # rows of a table in a text; scripts get all
 
 
@@ -143,21 +145,28 @@ def value_lines(rows: Iterable[tuple[str, str]], width: int = WIDTH) -> Iterator
 def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterator[str]:
     """Rows as columns two blanks apart, indented by two; numbers to the right. A row may have a name before it.
 
-    Rows that are too wide for columns are told one after the other.
+    Of rows that are too wide the widest column comes last, or, where the others are wide, too, they are told one after
+    the other.
     """
     shown = rows[:most]
-    texts = columns_of(shown)
-    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
-    if 2 * len(widths) + sum(widths) > width:
+    columns = [*zip(*columns_of(shown), strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    widest = max(widths, default=0)
+    indent = 2 * len(widths) + sum(widths) - widest
+    if indent > _MOST_BESIDE * width and indent + widest > width:
         for row in shown:
             named = [(each.heading, words(value, each)) for each, value in _entries(row) if not _is_empty(value)]
             yield fill(", ".join(f"{heading} {text}".lstrip() for heading, text in named), "  ", "    ", width)
     else:
-        right = [all(map(_is_number, column)) for column in zip(*texts[1:], strict=True)]
-        for line in texts:
-            columns = zip(line, widths, right, strict=True)
-            cells = (f"{cell:{'>' if is_right else '<'}{wide}}" for cell, wide, is_right in columns)
-            yield ("  " + "  ".join(cells)).rstrip()
+        if indent + widest > width:
+            columns.append(columns.pop(widths.index(widest)))
+        right = [all(map(_is_number, column[1:])) for column in columns]
+        widths = [max(map(len, column)) for column in columns]
+        for line in zip(*columns, strict=True):
+            cells = zip(line, widths, right, strict=True)
+            *first, last = (f"  {cell:{'>' if is_right else '<'}{wide}}" for cell, wide, is_right in cells)
+            whole = "".join((*first, last)).rstrip()
+            yield whole if len(whole) <= width else fill(last.strip(), "".join(first) + "  ", " " * indent, width)
     if len(rows) > len(shown):
         yield f"  and {len(rows) - len(shown):,} more"
 
@@ -205,7 +214,13 @@ def number(value: float, form: str = ".6g") -> str:
 
 def fill(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> str:
     """Wrap a text to a width, by default a terminal's; its first line and the rest with these indents."""
-    return textwrap.fill(text, width, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False)
+    return _Wrapper(width, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False).fill(text)
+
+
+class _Wrapper(textwrap.TextWrapper):
+    """Wraps labels of regimes between the groups of their impacts."""
+
+    wordsep_simple_re = re.compile(r"(\s+|(?<=\))(?=[A-Z]{2}\())")
 
 
 def _entries(row: Row) -> list[tuple[Told, Any]]:

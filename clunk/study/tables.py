@@ -127,7 +127,7 @@ def position_of(value: Any, count: int, names: Sequence[str | None], noun: str) 
     likely = nearest(value, known) if isinstance(value, str) else None
     hint = f"did you mean {shorten(likely)}? It" if likely else "it"
     numbers = [f"a number from 1 to {count}"] if count else []
-    choices = listing([*numbers, *map(shorten, known[:8])], "or")
+    choices = listing([*numbers, *map(shorten, known)], "or")
     raise ValueError(f"there is no {noun} {shorten(value)}; {hint} must be {choices}")
 
 
