@@ -318,6 +318,7 @@ def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(command):
     # 258 Hz damped by 0.196 swing at 253 Hz: 3.9 steps of 1 ms a period, 39.5 of 0.1 ms
     _, _, err = command("simulate", ROOT / "configs/nominal.toml", "--set", "solver.step=1e-3")
     assert "3.9 steps a period" in " ".join(err.split())
+    assert max(map(len, err.splitlines())) <= 80
     _, _, err = command("simulate", ROOT / "configs/nominal.toml")
     assert "warning" not in err
     _, out, _ = command("modes", ROOT / "configs/nominal.toml")

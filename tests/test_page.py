@@ -139,7 +139,7 @@ def test_bad_usage_gives_one_sentence_and_writes_nothing(command, here):
         ("five.h5", "-o", "folder.html"): "folder.html is a directory; name a file in it.",
         ("nothing.h5",): "nothing.h5 cannot be read",
         ("five.h5",): "choose one value of",
-        ("five.h5", "--at", "load.ratio=50"): "load.ratio: 0 to 10",
+        ("five.h5", "--at", "load.ratio=50"): "load.ratio is swept from 0 to 10; 50 is not on it",
     }.items():
         code, _, err = command("report", *arguments)
         assert code == 2

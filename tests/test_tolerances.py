@@ -12,9 +12,11 @@ import clunk as clunk_api
 from clunk import plot
 from clunk.core.status import Status
 from clunk.plot import PlotError, save
+from clunk.plot.layers import Layers
+from clunk.plot.plane import View
 from clunk.plot.style import colour_of
 from clunk.results import store
-from clunk.results.labels import excursions
+from clunk.results.labels import double_sided, excursions
 from clunk.results.maps import QUANTILES
 from clunk.results.netcdf import StoreError
 from clunk.results.quantities import quantity_of
@@ -368,6 +370,15 @@ class TestFigures:
         strip = plot.draw(found.at({found.axes[1].parameter: found.axes[1].values[least[1]]}), "regimes")
         cells = strip.axes[0].collections[0].get_array()[0]
         np.testing.assert_allclose(cells[least[0]] / 255.0, colour(least), atol=0.02)  # 8 bits, and edges smoothed
+
+    def test_of_grouped_labels_the_likeliest_group_is_shown_and_by_how_much(self, found):
+        layers = Layers.of(found, View.of(found), most=1)
+        groups = np.array([-1 if name == "NI" else double_sided(name) for name in found.labels])
+        likely = np.stack([found.runs[..., :-1][..., groups == each].sum(axis=-1) for each in np.unique(groups)])
+        assert np.array_equal(layers.codes, likely.argmax(axis=0))
+        uncertain = np.count_nonzero(likely.max(axis=0) < 0.95 * found.runs[..., :-1].sum(axis=-1))
+        assert 0 < uncertain < found.uncertain
+        assert [note.text for note in layers.notes] == [f"paler: less than 95 % likely, {uncertain} cells"]
 
     def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
         base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'

@@ -76,9 +76,7 @@ def study_of(source: Path, overrides: Sequence[str] = ()) -> Study:
     return study_from_text(read_map(source).config, f"the config in {source}", overrides)
 
 
-def cell_values(
-    study: Study, at: tuple[str, ...], *, all_needed: bool, but: Collection[str] = ()
-) -> dict[str, float]:
+def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool, but: Collection[str] = ()) -> dict[str, float]:
     """Values of swept keys that --at names; a `run` stands for the values of its coordinates.
 
     Where not all are needed, a key that is not named keeps the config's own value. Some keys get theirs elsewhere.

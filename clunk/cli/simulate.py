@@ -156,6 +156,7 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
 
     primaries = {k for each in trajectory.lashes for k in each.primaries.tolist()}
     several, names = len(trajectory.lashes) > 1, trajectory.study.lash_names
+    measures = _measures(trajectory.study)
     of_lashes = {
         name: {
             "label": each.label,
@@ -163,7 +164,7 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
             "approach_velocity": each.approach_velocity,
             "impact_severity": each.impact_severity,
             "margin": each.margin,
-            "measures": _measures(each),
+            "measures": measures[name],
         }
         for name, each in zip(names, trajectory.lashes, strict=True)
     }
@@ -186,17 +187,17 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def _measures(trajectory: Trajectory) -> dict[str, Any]:
-    """Measures of a run, and of its impacts, that the config asks for besides Q and V; empty where it asks for none."""
+def _measures(study: Study) -> dict[str, dict[str, Any]]:
+    """Measures of a run, and of its impacts, by lash, that the config asks for besides Q and V; empty without any."""
     from clunk.results.quantities import REGIME_QUANTITIES
     from clunk.sweeping.runner import Runner
 
-    study = trajectory.study
     if not study.measured:
-        return {}
-    runs = Runner(study, ["load.step_time"])([[study.load.step_time]]).of_lash(study.lash_names[trajectory.lash])
-    cell = runs.cell({"run": 1})
-    return {name: cell[name] for name in runs.quantities if name not in REGIME_QUANTITIES}
+        return {lash: {} for lash in study.lash_names}
+    runs = Runner(study, ["load.step_time"])([[study.load.step_time]])
+    names = [name for name in runs.quantities if name not in REGIME_QUANTITIES]
+    cells = {lash: runs.of_lash(lash).cell({"run": 1}) for lash in study.lash_names}
+    return {lash: {name: cell[name] for name in names} for lash, cell in cells.items()}
 
 
 def _print_run(trajectory: Trajectory, record: dict[str, Any]) -> None:

@@ -24,7 +24,7 @@ from clunk.results.labels import FAILED, FAILED_CODE, primary_impacts
 from clunk.results.maps import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.parameters import quantity
-from clunk.study.records import counted, words
+from clunk.study.records import counted, fill, words
 
 _RARE_COLOUR = "#a9adb0"
 _MARKED = 6  # transitions with colours of their own
@@ -232,7 +232,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
             share, *interval = np.transpose(values)
             ax.barh(places + at, share, _BAR, color=colour, xerr=np.abs(interval - share), error_kw=_INTERVAL)
         ax.axvline(0.0, color=INK, linewidth=0.8)
-        ax.set_title(style.capital(heading), loc="left", fontsize=9.0)
+        ax.set_title(fill(style.capital(heading)), loc="left", fontsize=9.0)
         style.tidy(ax, "x")
     names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
     panels[0].set_yticks(places, names)

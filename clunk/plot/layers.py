@@ -189,13 +189,21 @@ class Layers:
         )
 
     def _faded(self, drawn: ToleranceMap) -> "Layers":
-        """The most likely labels, paler where they are less certain."""
-        certainty = self.view.arrange(drawn.certainty)
-        white = np.where(certainty < CERTAIN, np.interp(certainty, *_FADES), 0.0)
-        text = f"paler: less than {100 * CERTAIN:.0f} % likely, {counted(drawn.uncertain, 'cell')}"
-        notes = (Note(text, ""),) if drawn.uncertain else ()
-        paint = self.region_colours + white[..., None] * (255.0 - self.region_colours)
-        return replace(self, paint=paint, notes=notes, facts=(f"most likely of {drawn.draws:,} draws", *self.facts[1:]))
+        """The most likely labels, or groups of them, paler where they are less certain."""
+        regions = np.arange(len(self.names))[:, None] == self.regions_of[:-1]
+        likely = np.stack([self.view.arrange(drawn.of_labels(labels)) for labels in regions])
+        codes, certainty = np.where(self.failed, FAILED_CODE, likely.argmax(axis=0)), likely.max(axis=0)
+        uncertain = certainty < CERTAIN
+        white = np.where(uncertain, np.interp(certainty, *_FADES), 0.0)
+        text = f"paler: less than {100 * CERTAIN:.0f} % likely, {counted(uncertain.sum(), 'cell')}"
+        colours = self.colours_of(codes)
+        return replace(
+            self,
+            codes=codes.astype(np.int16),
+            paint=colours + white[..., None] * (255.0 - colours),
+            notes=(Note(text, ""),) if uncertain.any() else (),
+            facts=(f"most likely of {drawn.draws:,} draws", *self.facts[1:]),
+        )
 
     @property
     def doubts(self) -> Floats:

@@ -21,6 +21,7 @@ from matplotlib.patches import Patch
 from clunk.results.files import PICTURES, check, write_whole, writing
 from clunk.results.labels import double_sided
 from clunk.study.errors import ClunkError
+from clunk.study.records import fill
 
 Look = dict[str, Any]  # keyword arguments for matplotlib
 
@@ -132,8 +133,12 @@ def lay_out(
 def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
     """Put rows of notes under a figure, which grows by their height, and lay it out."""
     if handles:
+        each, character, room = 0.45, 0.075, figure.get_figwidth() - 0.4  # inches: a swatch
+        for handle in handles:
+            lines = str(handle.get_label()).splitlines()
+            handle.set_label("\n".join(fill(line, width=int((room - each) / character)) for line in lines))
         widest = max(len(line) for handle in handles for line in str(handle.get_label()).splitlines())
-        columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
+        columns = max(1, int(room / (each + character * widest)))
         look: Look = {"loc": "outside lower center", "ncols": min(columns, len(handles)), "frameon": False}
         legend = figure.legend(handles=handles, handlelength=1.6, **look)
         figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
