@@ -338,7 +338,7 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     assert json.loads(out)["boundaries"]["areas"] == traced.areas
     assert command("export", "r.h5", "b.geojson")[0] == 0
     assert json.loads((tmp_path / "b.geojson").read_text("utf-8")) == json.loads(json.dumps(traced.geojson()))
-    assert "must end in .csv, .mat, .geojson" in command("export", "r.h5", "b.txt")[2]
+    assert "must end in .csv, .geojson" in command("export", "r.h5", "b.txt")[2]
 
 
 def test_a_config_says_whether_its_boundaries_are_traced_and_is_no_other_for_that(command, tmp_path):

@@ -4,9 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from helpers.maps import CELL_QUANTITIES
-from scipy.io import loadmat
-from test_store import BACKLASH, INERTIA, RATIO, example, padded
+from test_store import BACKLASH, INERTIA, RATIO, example
 from test_tolerances import DRIVELINE, study, tolerance
 
 import clunk as clunk_api
@@ -40,29 +38,12 @@ def test_each_cell_is_a_row_of_the_table_with_its_words_and_numbers(tmp_path, ax
     assert len(axes) == 1 or "lash.backlash_deg [degrees]" in rows[0]
 
 
-def test_matlab_gets_the_variables_their_units_and_the_labels(tmp_path):
-    results = example(RATIO, BACKLASH)
-    save(tmp_path / "map.mat", results)
-    arrays = loadmat(tmp_path / "map.mat", simplify_cells=True)
-    for name in CELL_QUANTITIES:
-        assert arrays[name].dtype == CELL_QUANTITIES[name].dtype
-        assert np.array_equal(arrays[name], getattr(results, name), equal_nan=arrays[name].dtype.kind == "f")
-    assert np.array_equal(arrays["impact_time"], padded(results, "impact_time"), equal_nan=True)
-    assert arrays["lash_backlash_deg"].tolist() == BACKLASH.values.tolist()
-    assert arrays["units"]["severity"] == "rad s-2"
-    assert np.array_equal(arrays["labels"][arrays["sequence"] + 1], results.label_map)  # from 0, MATLAB from 1
-
-
 def test_probabilities_and_draws_are_exported(tmp_path, probabilities):
     save(tmp_path / "map.csv", probabilities)
     first = next(csv.DictReader((tmp_path / "map.csv").read_text("utf-8").splitlines()))
     label = probabilities.labels[probabilities.sequence[0, 0]]
     assert (first["sequence"], float(first[f"probability[{label}]"])) == (label, probabilities.certainty[0, 0])
     assert all(f"severity_quantiles[{quantile}] [rad s-2]" in first for quantile in QUANTILES)
-    save(tmp_path / "map.mat", probabilities)
-    arrays = loadmat(tmp_path / "map.mat", simplify_cells=True)
-    assert np.array_equal(arrays["probability"], probabilities.probability)
-    assert arrays["drawn_load_ratio"].tolist() == probabilities.sample[0].values.tolist()
 
 
 def test_runs_of_a_path_have_their_coordinates(tmp_path):
@@ -81,7 +62,7 @@ def test_the_command_exports_and_refuses_other_formats(command, here):
     assert (here / "out/map.csv").read_text().startswith("load.ratio,sequence,")
     code, _, err = command("export", "map.h5", "map.xlsx")
     assert code == 2
-    assert "must end in .csv, .mat" in err
+    assert "must end in .csv, .geojson" in err
     code, _, err = command("export", "nothing.h5", "map.csv")
     assert code == 2
     assert "nothing.h5 cannot be read" in err

@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 import pytest
 from helpers.maps import CELL_QUANTITIES, map_of
-from scipy.io import loadmat
 from test_store import padded
 
 import clunk
@@ -110,10 +109,6 @@ def test_exports_have_a_row_for_each_lash_of_each_cell(two, tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["lash"] for row in rows] == [*NAMES] * 20
     assert [row["sequence"] for row in rows] == two.label_map.ravel().tolist()
-    export.save(tmp_path / "two.mat", two)
-    arrays = loadmat(tmp_path / "two.mat", simplify_cells=True)
-    assert arrays["lash"].tolist() == list(NAMES)
-    np.testing.assert_array_equal(arrays["severity"], two.severity)
 
 
 # --- Runs of several lashes ------------------------------------------------------------------------------------------

@@ -253,7 +253,6 @@ COMMANDS = (
     ("export", "map.h5", "map.csv"),
     ("verify", "study.toml"),
     ("compare", "map.h5", "map.h5"),
-    ("export", "map.h5", "map.mat"),
     ("simulate", "study.toml", "-o", "run.csv"),
 )
 OF_MAPS_OF_TWO_AXES = ("plot", "report")  # of more axes a picture is a slice, which the user chooses

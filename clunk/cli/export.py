@@ -14,14 +14,13 @@ from clunk.cli.options import PATH, file_argument
 def export(file: Path, output: Path) -> None:
     """Write a map, or its boundaries, for other programs.
 
-    FILE is a results file. OUTPUT.csv has a row for each cell, codes as words and units in the header. OUTPUT.mat has
-    the variables of FILE as arrays. OUTPUT.geojson has the regions as polygons and the boundaries between them as
-    lines, if `clunk sweep` has traced them.
+    FILE is a results file. OUTPUT.csv has a row for each cell, codes as words and units in the header. OUTPUT.geojson
+    has the regions as polygons and the boundaries between them as lines, if `clunk sweep` has traced them. MATLAB reads
+    FILE itself, by ncread.
 
     \b
     Examples:
       clunk export results/figure_3_4.h5 map.csv
-      clunk export results/figure_3_4.h5 map.mat
       clunk export results/smoke.h5 boundaries.geojson
     """
     from clunk.results import files

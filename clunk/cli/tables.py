@@ -54,14 +54,12 @@ def print_outcomes(results: AnyMap) -> None:
         if results.lashes:
             click.echo(("\n" if k else "") + name)
         rows, counts = part.label_table(), part.counts()
-        if len(rows) > _MOST_LABELS:
-            least = sorted((counts[row["label"]] for row in rows), reverse=True)[_MOST_LABELS]
-            shown = [row for row in rows if counts[row["label"]] > least]
-            print_table(shown)
+        least = [*sorted((counts[row["label"]] for row in rows), reverse=True), *[-1] * _MOST_LABELS][_MOST_LABELS]
+        shown = [row for row in rows if counts[row["label"]] > least]
+        print_table(shown)
+        if len(shown) < len(rows):
             few = counted(least, "cell") + " or fewer" * (least > 0)
             click.echo(f"  and {len(rows) - len(shown):,} labels of {few} each; --json prints all")
-        else:
-            print_table(rows)
         click.echo()
         print_values(part.facts)
 

@@ -88,7 +88,7 @@ def warn_of_coarse_step(study: Study, method: str | None = None) -> None:
     if (method or study.solver.method) == "rk4" and (steps := steps_a_period(study)) < _FEWEST_STEPS:
         complain(
             f"warning: solver.step = {study.solver.step:g} s gives {steps:.2g} steps a period of the fastest "
-            f"oscillation; with fewer than {_FEWEST_STEPS} steps rebounds are lost and labels wrong; the exact method has no steps"
+            f"oscillation; with fewer than {_FEWEST_STEPS} rebounds are lost and labels wrong; exact has no steps"
         )
 
 

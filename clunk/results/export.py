@@ -1,4 +1,4 @@
-"""Maps and histories for other programs: comma-separated values, arrays in a MAT-file for MATLAB, or GeoJSON."""
+"""Maps and histories for other programs: comma-separated values, or GeoJSON."""
 
 import csv
 import io
@@ -11,7 +11,6 @@ import numpy as np
 
 from clunk.core.events import TOUCH
 from clunk.results.files import write_whole, writing
-from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap
 from clunk.results.quantities import Quantity
 from clunk.results.store import dataset_of
@@ -66,23 +65,6 @@ def _write_rows(stream: BinaryIO, headings: Sequence[str], rows: Iterable[Sequen
     text.detach()  # flushed, and the stream stays open
 
 
-def _write_mat(stream: BinaryIO, results: AnyMap) -> None:
-    """Write each variable of the results file as an array, and its unit; `labels` begins with that of the code -1."""
-    from scipy.io import savemat
-    from scipy.io.matlab import MatWriteError
-
-    dataset = dataset_of(results)
-    arrays: dict[str, Any] = {name: dataset.padded(name) for name in dataset.variables}
-    arrays |= {name: values.astype(object) for name, values in arrays.items() if values.dtype.kind == "U"}
-    units = {name: each.attributes["units"] for name, each in dataset.variables.items() if "units" in each.attributes}
-    arrays |= {"labels": np.array([FAILED, *results.labels], object), "units": units}
-    arrays |= {"title": results.title, "config": results.config}
-    try:
-        savemat(stream, arrays, long_field_names=True, do_compression=True, oned_as="column")
-    except MatWriteError as error:
-        raise ClunkError("The map is too large for a MAT-file; MATLAB reads the HDF5 file itself.") from error
-
-
 def _write_geojson(stream: BinaryIO, results: AnyMap) -> None:
     """Write the boundaries of a map."""
     if results.boundaries is None:
@@ -90,7 +72,7 @@ def _write_geojson(stream: BinaryIO, results: AnyMap) -> None:
     stream.write((json.dumps(results.boundaries.geojson(), ensure_ascii=False) + "\n").encode())
 
 
-WRITERS = {".csv": _write_csv, ".mat": _write_mat, ".geojson": _write_geojson}
+WRITERS = {".csv": _write_csv, ".geojson": _write_geojson}
 
 
 def save_history(path: FilePath, history: History) -> None:
