@@ -170,6 +170,15 @@ def test_events_are_what_differs_between_the_two_runs(coarse):
         assert (curve.event == "sticking_time_reached") == (same and runs[0].touches == runs[1].touches)
 
 
+def test_a_curve_that_is_not_located_has_no_event(monkeypatch):
+    """Any number of other labels may lie between the two that it parts."""
+    monkeypatch.setattr(lines, "_ON_ANY_MAP", 1)
+    monkeypatch.setattr(lines, "_RUNS_PER_CELL", 0)
+    found = clunk.sweep(figure(6), boundaries=True).boundaries
+    assert len(found.unresolved)
+    assert {curve.event for curve in found.curves} == {"unknown"}
+
+
 def test_failed_cells_are_a_label_whose_regions_are_filled_and_a_slice_has_no_boundaries():
     axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
     failing = clunk.sweep(study(*axes, of=(EXACT, "solver.max_events=16")), boundaries=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.lines import Lines, Triangles
+from clunk.analysis.lines import CHORD, Lines, Triangles
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.search import POINT, PointRuns, check_axis, grid_axes, in_halves
 from clunk.core.events import STAGE, TOUCH
@@ -127,6 +127,7 @@ def boundaries(
         crossings = [[node for node in path.nodes if node >= 0] for path in paths]
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
         events = events_between(point_runs.runner, engine, position, values_at(below), values_at(above))
+        events[np.abs(above - below).max(axis=1) > CHORD] = UNKNOWN  # many are between the two
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings, places = [ring for region in regions for ring in region], lines.unresolved
     cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])

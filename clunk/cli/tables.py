@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.study.records import Record, Row, counted, plain, table, text_of, value_lines
+from clunk.study.records import Record, Row, plain, table, text_of, value_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -54,12 +54,10 @@ def print_outcomes(results: AnyMap) -> None:
         if results.lashes:
             click.echo(("\n" if k else "") + name)
         rows, counts = part.label_table(), part.counts()
-        least = [*sorted((counts[row["label"]] for row in rows), reverse=True), *[-1] * _MOST_LABELS][_MOST_LABELS]
-        shown = [row for row in rows if counts[row["label"]] > least]
-        print_table(shown)
+        shown = sorted(rows, key=lambda row: -counts[row["label"]])[:_MOST_LABELS]
+        print_table([row for row in rows if row in shown])
         if len(shown) < len(rows):
-            few = counted(least, "cell") + " or fewer" * (least > 0)
-            click.echo(f"  and {len(rows) - len(shown):,} labels of {few} each; --json prints all")
+            click.echo(f"  and {len(rows) - len(shown):,} labels of no more cells each; --json prints all")
         click.echo()
         print_values(part.facts)
 

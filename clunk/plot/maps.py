@@ -62,7 +62,7 @@ _POINT_LOOKS: dict[bool, tuple[str, Look]] = {  # of points that agree, and that
 # Points: of names, tried in turn, and of measured labels; of a panel of several, and of a single map.
 _SIZES = ((8.5, 7.5, 6.5), 6.5), ((10.5, 9.5, 8.5, 8.0), 8.0)
 MOST_VALUES = (12, 4)  # of one facet, of each of two
-_DOUBT: Look = {"linestyle": "none", "marker": "o", "markersize": 4.0, "markeredgewidth": 0.0, "alpha": 0.1}
+_DOUBT: Look = {"linestyle": "none", "marker": "o", "markeredgewidth": 0.0, "alpha": 0.1}
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
 _VANISHING = 0.02  # of the backlash axis, within which it has to begin at zero to show where backlash vanishes
 _NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
@@ -261,7 +261,8 @@ def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: f
     lines = LineCollection(layers.lines, joinstyle="round", capstyle="projecting", gid="boundaries", zorder=3, **look)
     ax.add_collection(lines, autolim=False)
     if len(layers.doubts):  # a haze under the lines, on every undecided cell, and where tracing left it open
-        look = _DOUBT | {"color": INK, "rasterized": len(layers.doubts) > MOST_POINTS}
+        size = max(4.0, 250.0 / max(map(len, layers.view.axes)))  # pt: at least half a cell
+        look = _DOUBT | {"markersize": size, "color": INK, "rasterized": len(layers.doubts) > MOST_POINTS}
         ax.plot(*layers.doubts.T, zorder=2, gid="undecided", **look)
 
 
