@@ -110,7 +110,7 @@ class Comparison(Record):
     differs: Bools
     flagged: Bools
     identical: bool = told("identical bit for bit")
-    configs_equal: bool = told("digests of the configs are the same")
+    configs_equal: bool = told("configs are the same")
     largest_differences: tuple[Difference, ...] = told(
         "largest differences in cells with equal labels, and share of B's largest"
     )
@@ -120,8 +120,8 @@ class Comparison(Record):
     titles: dict[str, str] = told()
     cells: int = told("cells", key="cells_compared")
     differing: int = told("labels differ in", key="cells_differing")
-    differing_elsewhere: int = told("and no run is flagged in")
-    touches_equal: int = told("touches as many in")
+    differing_elsewhere: int = told("of these, neither run is flagged in")
+    touches_equal: int = told("numbers of touches are the same in")
     failed: dict[str, int] = told("failed, not compared")
     same_regimes: bool = told()
     transitions: tuple[Transition, ...] = told("labels that differ")

@@ -55,7 +55,7 @@ class Combination(Record):
     direction : of each parameter, in standard deviations of its prior
     """
 
-    spread: float = told("spread left", form=".0%")
+    spread: float = told("of the prior's spread", form=".0%")
     direction: list[float] = told("direction (in the priors' standard deviations)", form="+.2f")
 
 
@@ -150,7 +150,7 @@ class Fitted(Record):
         return len(self.weights)
 
     @property
-    @tells("which are worth", form=".0f", key="effective_draws")
+    @tells("independent draws that they are worth", form=".0f", key="effective_draws")
     def effective(self) -> float:
         """Effective size of the ensemble."""
         return effective_size(self.weights)
@@ -174,7 +174,7 @@ class Fitted(Record):
     @property
     @tells("values of impacts, and how many the best candidate meets", key="impacts")
     def met_impacts(self) -> list[dict[str, Any]]:
-        """How many values of each measured quantity there are, and how many are no further off than `FAR`."""
+        """Numbers of values of each measured quantity, and of those that are no further off than `FAR`."""
         rows, each = [], self.experiment.measurements
         for name, far in zip(IMPACT_QUANTITIES, self.estimate_matches["far"].sum(axis=0).tolist(), strict=True):
             if count := sum(len(measurement.impacts.get(name, ())) for measurement in each):
@@ -192,7 +192,7 @@ class Fitted(Record):
         return rows
 
     @property
-    @tells("what the data leave undetermined", key="combinations")
+    @tells("combinations of parameters, and the spread that the data leave to each", key="combinations")
     def undetermined(self) -> list[Combination]:
         """The ensemble's principal axes, the widest first, in coordinates in which the prior is standard normal."""
         offsets = self.coordinates - self.weights @ self.coordinates

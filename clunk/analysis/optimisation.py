@@ -67,7 +67,7 @@ class Optimum(Record):
     @property
     @tells(SENTENCE)
     def sentence(self) -> str:
-        """What to know where not all conditions hold."""
+        """Sentence where not all conditions hold."""
         nearest = "No values were found for which all conditions hold and no run fails; these come nearest."
         return "" if self.holds else nearest
 
@@ -80,20 +80,20 @@ class Front(Record):
 
     @property
     def traded(self) -> tuple[str, str]:
-        """What is minimised, and the quantity that is bounded."""
+        """Names of the minimised value and of the quantity that is bounded."""
         first, *_, last = self.points[0].quantities
         return first, last
 
     @property
     @tells("trade-off")
     def values(self) -> list[dict[str, float]]:
-        """What is traded, and the free numbers of each optimum."""
+        """Both values, and the free numbers, of each optimum."""
         return [{name: best.quantities[name] for name in self.traded} | best.parameters for best in self.points]
 
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """What candidates give, (n,) each: see `Optimum`.
+    """Results of candidates, (n,) each: see `Optimum`.
 
     excess : how far the needed share of the drivelines is from meeting the conditions, in [0, 2); 0 where it does
     """
@@ -229,7 +229,7 @@ class Problem:
         return {key: np.where(np.isnan(column), value, column) for key, (column, value) in own.items()}
 
     def merit(self, outcomes: Outcomes) -> Floats:
-        """What the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""
+        """Merit that the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""
         value = np.minimum(outcomes.value / self.size, 1e300)
         return np.where(outcomes.excess > 0.0, 1.0 + outcomes.excess, value / (1.0 + np.abs(value)) - 1e-9)
 

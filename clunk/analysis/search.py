@@ -210,7 +210,7 @@ _STEPS = 1_000  # of rk4 that take as long as a unit of `PointRuns.cost`
 
 
 def in_halves(run: Callable[[Floats], Array], points: Floats, refused: Array) -> Array:
-    """What `run` makes of points, in parts where it raises ConfigError; of one that no config may hold it is `refused`.
+    """Results of `run` at points, in parts where it raises ConfigError; of one that no config may hold it is `refused`.
 
     Between values that are allowed there may be some that are not, such as a ratio of zero.
     """
@@ -259,14 +259,14 @@ class PointRuns:
 
     @property
     def cost(self) -> int:
-        """How long a run takes, beside those of other studies: 23 of one lash by gap, without friction or stages."""
+        """Cost of a run, relative to other studies': 23 of one lash by gap, without friction or stages."""
         study = self.runner.study
         steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
         return max(round(steps / _STEPS), 20 + count_of_regimes(study))
 
     @property
     def preparing(self) -> int:
-        """How many runs without touches take as long as preparing a driveline, where each run has its own."""
+        """Cost of preparing a driveline, in runs without touches, where each run has its own."""
         return bool(self.runner.grid.structural) * len(self.runner.study.driveline.inertias) ** 2 // 3
 
     def __call__(self, values: Floats) -> Points:

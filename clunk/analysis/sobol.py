@@ -95,7 +95,7 @@ class Sensitivity(Record):
         return self.study.title
 
     @property
-    @tells("of what the spread comes")
+    @tells("where the spread comes from")
     def quantities(self) -> dict[str, Indices]:
         """The indices of each quantity, by its name."""
         return {each.quantity: each for each in self.indices}

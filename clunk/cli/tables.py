@@ -63,7 +63,7 @@ def print_outcomes(results: AnyMap) -> None:
 
 
 def outcomes(results: AnyMap) -> dict[str, Any]:
-    """How many cells each label has, or how likely it is, for JSON; of several lashes, by lash."""
+    """Cells of each label, or its probability, for JSON; of several lashes, by lash."""
     from clunk.results.maps import ToleranceMap
 
     records: dict[str, dict[str, Any]] = {}

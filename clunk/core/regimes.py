@@ -152,7 +152,7 @@ def turn_back(system: System, x: FloatArray) -> float:
 
 
 def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
-    """What takes from angles and speeds the rolling, which then stands at the first inertia that rolls; its inverse.
+    """Matrix that takes the rolling from angles and speeds, and keeps it at the first inertia that rolls; its inverse.
 
     size : of the states, N
 
@@ -172,7 +172,7 @@ def state_of_friction(system: System, regime: int, friction: int) -> int:
 
 @inlined_part
 def stride_of_friction(system: System, friction: int) -> int:
-    """By how much a regime's number changes with the state of a friction."""
+    """Stride of a regime's number with the state of a friction."""
     return system.regime_strides[system.element_count - system.friction_count + friction]
 
 
@@ -205,7 +205,7 @@ def speed_of(system: System, lash: int, x: FloatArray) -> float:
 
 @inlined_part
 def overlap_of(system: System, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> float:
-    """How far the flanks of a lash overlap on one side  [rad]."""
+    """Overlap of the flanks of a lash on one side  [rad]."""
     overlap = -inputs[gap_input(lash)]
     for k in range(system.inertias):
         overlap += side * system.lashes[lash, system.inertias + k] * x[k]
@@ -432,7 +432,7 @@ def build_system(
 
 
 def _impacts(inertia: FloatArray, twists: FloatArray, sets: int) -> tuple[FloatArray, FloatArray]:
-    """What an impact across each lash changes per unit of q', and what passes through every lash, `System.passed`.
+    """Change of speeds by an impact across each lash per unit of q', and the impulses in every lash, `System.passed`.
 
     Returns (…, H, L, n) and (…, H, L, L) float64, zero where the lash itself is in the set that holds.
     """

@@ -137,7 +137,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
 
 @part
 def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
-    """Whether a regime goes on, as what sticks in it, and some locked lashes, as bits, tell; see `choose_states`."""
+    """Whether sticking frictions and some locked lashes, as bits, fit their states in a regime; see `choose_states`."""
     sticking = _sticking_in(at.system, regime)
     has_excess = at.system.excess[at.system.regimes[regime].flow] != 0
     return not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= WITHIN
@@ -151,7 +151,7 @@ def _sticking_in(system: System, regime: int) -> int:
 
 @part
 def _misfits(at: Moment, regime: int, before: int, locked: int, resting: int) -> float:
-    """By how much some lashes and frictions at rest, as bits, miss their states in a regime, in sum; as `_misfit`."""
+    """Sum of the misfits of some lashes and frictions at rest, as bits, in a regime; see `_misfit`."""
     misfit = 0.0
     for lash in range(at.system.lash_count):
         if locked >> lash & 1:
@@ -217,7 +217,7 @@ def _parted(at: Moment, regime: int, lash: int) -> int:
 
 @part
 def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
-    """By how much rigid flanks at rest, closed before, miss their state in a regime; as `_misfit`.
+    """Misfit of rigid flanks at rest, closed before, to their state in a regime; see `_misfit`.
 
     Where they are closed, that is the torque that pulls at them; where they have parted, the one that presses.
     """
@@ -235,7 +235,7 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
 
 @part
 def _misfit(at: Moment, regime: int, friction: int) -> float:
-    """By how much a friction at rest misses its state in a regime, as a share of the terms; 0 where it fits.
+    """Misfit of a friction at rest to its state in a regime, as a share of the terms; 0 where it fits.
 
     Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
     it is `WITHIN` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.

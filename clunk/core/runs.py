@@ -59,7 +59,7 @@ class Entry(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How a run ended."""
+    """End of a run: its status, and its number of events."""
 
     status: int  # see clunk.core.status
     written: int  # events written, the load step included
@@ -77,7 +77,7 @@ def piece_at(load: FloatArray, piece: int, time: float) -> int:
 
 @inlined_part
 def end_of_piece(system: System, load: FloatArray, piece: int) -> float:
-    """When a piece of a load ends, or the run if that is sooner  [s]."""
+    """End of a piece of a load, or of the run if that is sooner  [s]."""
     end = system.end_time[0]
     return min(end, load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else end
 

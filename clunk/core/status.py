@@ -15,7 +15,7 @@ class Status(IntEnum):
 
     @property
     def sentence(self) -> str:
-        """What happened, for people."""
+        """The status in a phrase."""
         return _SENTENCES[self]
 
 

@@ -81,7 +81,7 @@ def steady_torque(system: System, regime: int, lash: int, inputs: FloatArray) ->
 
 @inlined_part
 def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) -> float:
-    """What inputs amount to in a regime, each by its weight there and by so much; those not given are 1."""
+    """Sum of inputs, each times its weight in a regime and a factor; inputs that are not given are 1."""
     total = by[0] * inputs[0]
     for k in range(1, system.input_count):
         total += by[k] * (system.weights[regime, k] * (inputs[k] if k < inputs.size else 1.0))

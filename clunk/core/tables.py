@@ -179,7 +179,7 @@ class _State(NamedTuple):
 
 
 class _Element(NamedTuple):
-    """What the torques of a driveline depend on in pieces: in each of its states they are linear."""
+    """A lash, a staged shaft or a friction: in each of its states the torques are linear."""
 
     states: list[_State]
     functional: int  # the first of its
@@ -238,7 +238,7 @@ def half_gap_of(lash: int) -> int:
 
 
 def functionals_of(lashes: Lashes) -> int:
-    """How many functionals each lash has."""
+    """Number of functionals of each lash."""
     return 3 if lashes.are_rigid or any(lashes.separation_by_force) else 2
 
 
@@ -333,5 +333,5 @@ def build_tables(
 
 
 def _strides(counts: Sequence[int]) -> IntArray:
-    """By how much the number of a combination changes with each of its numbers, and how many combinations there are."""
+    """Strides of the number of a combination with each of its numbers, and the number of combinations."""
     return np.cumprod([1, *counts])

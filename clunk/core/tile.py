@@ -63,7 +63,7 @@ IMPACT = np.dtype(
 
 
 class Cases(NamedTuple):
-    """What differs from cell to cell: of the loads and the drivelines, one for each cell, or one for all."""
+    """Inputs of cells; of loads and drivelines there is one for each cell, or one for all."""
 
     before: FloatArray  # (cells, INPUTS + L - 1)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (cells or 1, P, PIECE)  after it
@@ -73,7 +73,7 @@ class Cases(NamedTuple):
     regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  in which it is
 
     def at(self, index: Positions | slice) -> "Cases":
-        """The cells at these positions, which begin in steady motion, whatever states these have."""
+        """The cells at these positions, without `states` and `regimes`: they begin in steady motion."""
         loads = self.loads if len(self.loads) == 1 else self.loads[index]
         drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
         return Cases(self.before[index], loads, drivelines)
@@ -106,7 +106,7 @@ class Batch(NamedTuple):
 
     @property
     def system(self) -> System:
-        """That of the first driveline."""
+        """The system of the first driveline."""
         return driveline_at(self.systems, 0)
 
     def at(self, drivelines: Positions | list[int]) -> "Batch":

@@ -247,7 +247,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
 
 @style.styled()
 def trade_off(front: Front) -> Figure:
-    """What is minimised over the quantity that is bounded, a point for each optimum."""
+    """The minimised value over the quantity that is bounded, a point for each optimum."""
     figure = style.new_figure()
     ax = figure.add_subplot()
     minimized, bounded = front.traded

@@ -45,7 +45,7 @@ class Note(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """What is drawn of a map over ascending axes: regions, and the values of a quantity where it is a number.
+    """The drawn parts of a map over ascending axes: regions, and the values of a quantity where it is a number.
 
     title : str
     load : str, in words

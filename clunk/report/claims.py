@@ -56,7 +56,7 @@ class Claim(Record):
     @property
     @tells("verdict")
     def verdict(self) -> Verdict:
-        """What the comparison shows."""
+        """The verdict of the comparison, in a word."""
         if not self.shown:
             return Verdict.DIFFERS
         return Verdict.CONTRADICTS if self.known == Verdict.CONTRADICTS else Verdict.AGREES

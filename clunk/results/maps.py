@@ -293,7 +293,7 @@ class Results(Map):
         return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
-        """What follows from the label of each cell; NaN where it failed. numbers : of the labels, in their order"""
+        """The number of each cell's label; NaN where it failed. numbers : of the labels, in their order"""
         return np.array([*numbers, np.nan])[self.sequence]  # the code of failed cells, -1, is the last
 
     def numbers(self, name: str) -> Floats:

@@ -74,7 +74,7 @@ class Dataset:
         return values if values.ndim == len(self.variables[name].dims) else _padded(values, *self.places(name))
 
     def places(self, name: str) -> tuple[Array, int]:
-        """How many entries of a variable each cell has, and how many places, which is 1 along other dimensions."""
+        """Numbers of entries of a variable in each cell, and of places, which is 1 along other dimensions."""
         values, dims = self.variables[name].values, self.variables[name].dims
         if values.ndim == len(dims):
             return np.ones(values.shape, np.int8), 1

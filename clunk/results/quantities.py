@@ -173,7 +173,7 @@ class Quantity:
         return values
 
     def of_label(self, label: str) -> float | None:
-        """What follows from the label alone: 1 and 0 of what holds or not, or a number of impacts; else None."""
+        """The value that a label alone decides: 1 or 0 of a condition, or a number of impacts; else None."""
         if self.name in _SIDED:
             return float(f"{_SIDED[self.name]}(" in label)
         if self.name == NOMINAL or (self.base is not None and self.base.type == TEXT):

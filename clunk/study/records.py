@@ -28,7 +28,7 @@ _MOST = 30  # rows of a table in a text; scripts get all
 
 @dataclass(frozen=True)
 class Told:
-    """How a value is told.
+    """Heading, unit and format of a value.
 
     heading : for people; empty where the value is for scripts alone
     unit : as people write it; empty where there is none
@@ -58,7 +58,7 @@ def tells(*how: str, **named: str) -> Callable[[Getter], Getter]:
 
 
 class Record:
-    """What an analysis or a command tells."""
+    """Results of an analysis or a command, for people and for scripts."""
 
     def told(self) -> Iterator[tuple[str, Told, Any]]:
         """Name, description and value of everything that is told: fields and then properties."""
@@ -224,7 +224,7 @@ class _Wrapper(textwrap.TextWrapper):
 
 
 def _entries(row: Row) -> list[tuple[Told, Any]]:
-    """What a row tells people; of a dictionary all that it has."""
+    """Headings and values of a row for people; of a dictionary all."""
     if isinstance(row, tuple):
         return [(Told(), row[0]), *_entries(row[1])]
     if isinstance(row, Record):

@@ -44,7 +44,7 @@ class Origin(NamedTuple):
 
 @inlined_part
 def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
-    """What a pair of coordinates adds to the number of a functional that begins at a place of `watch`."""
+    """Share of a pair of coordinates in the number of a functional that begins at a place of `watch`."""
     return fused(other, vectors.number(watch, at + PAIRS), one * vectors.number(watch, at))
 
 
@@ -103,7 +103,7 @@ def low(guard: Curve, h: Vector) -> Vector:
 
 @inlined_part
 def guess(guard: Curve, h: Vector) -> Vector:
-    """What is positive as long as a guard will probably stay so, and as that can probably be proved by `between`."""
+    """Estimate that is positive where a guard probably stays so within h, and `between` can probably prove it."""
     square = h * h
     bent = fused(guard.third_bound * -_OF_THE_THIRD, h, 0.5 * guard.curvature)
     expected = fused(fused(bent, h, guard.slope), h, guard.value)
@@ -112,7 +112,7 @@ def guess(guard: Curve, h: Vector) -> Vector:
 
 @inlined_part
 def falls_by(guard: Curve) -> Vector:
-    """How far at least a guard will go on falling before it turns back; 0 if it rises.
+    """Lower bound of the distance that a guard falls before it turns back; 0 if it rises.
 
     NaN or -inf where that is so far that rounding hides it. By what bounds its third derivative, it falls for a time at
     least. Nearly all of that is looked at, so that rounding does not matter.
@@ -124,7 +124,7 @@ def falls_by(guard: Curve) -> Vector:
 
 @inlined_part
 def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector]:
-    """What a function does within a time h, by its value, slope and curvature at both ends.
+    """Bounds of a function within a time h, by its value, slope and curvature at both ends.
 
     Over t from 0 to 1 it is the quintic through these six numbers, plus f⁽⁶⁾ h⁶/720 · t³ (t - 1)³ at some time within.
     Since 20 t³ (1 - t)³ is the middle Bernstein polynomial of degree six, it lies between the least and the greatest of
@@ -150,7 +150,7 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector]:
 
 @inlined_part
 def turns_not(start: Curve, end: Curve, h: Vector) -> tuple[int, int]:
-    """Where a function is monotone within a time h; and where it bends down all the way."""
+    """Lanes where a function is monotone within a time h, and lanes where it bends down all the way."""
     square = h * h
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
     a, b = fused(q0, 0.25, s0), fused(q1, -0.25, s1)

@@ -270,7 +270,7 @@ def _scale(chain: Chain) -> _Scaled:
 
 
 def _are_free(shapes: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which shapes twist no spring, or no damper, of a matrix: its terms cancel, however light the lightest part is.
+    """Mask of shapes that twist no spring, or no damper, of a matrix: terms cancel, however light the lightest part is.
 
     Or there are none but for the rounding of the shapes, whose square is tiny.
     """

@@ -47,7 +47,7 @@ BY_EVENT = 5  # a guard turned negative: RUN's `guard`
 
 @inlined_part
 def of_lash(lash: int) -> int:
-    """Where the numbers of a lash begin."""
+    """Position of the first number of a lash."""
     return _FIRST + _OF_LASH * lash
 
 

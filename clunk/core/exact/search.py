@@ -114,7 +114,7 @@ def _longest_empty(known: _Known, shortest: Vector, spans: int) -> tuple[Vector,
 
 @part
 def _is_empty(known: _Known, h: Vector) -> int:
-    """Where there is nothing to be found within times h; if so, not within shorter ones either."""
+    """Lanes where there is nothing to be found within times h; then there is nothing within shorter ones."""
     value, slope, curvature, third, _ = known.curve
     zero = vectors.splat(0.0)
     off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (third * curves.A_SIXTH))  # over h

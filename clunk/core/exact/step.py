@@ -172,7 +172,7 @@ def _evaluate(space: Workspace, regime: int, row: int) -> None:
 
 @inlined_part
 def _functionals_seen(space: Workspace, regime: int) -> int:
-    """How many functionals a step sees; the last ones are the accelerations."""
+    """Number of functionals that a step sees; the last ones are the accelerations."""
     return space.system.regimes[regime].watched + space.system.lash_count
 
 
@@ -222,19 +222,19 @@ def _scale(space: Workspace, regime: int, n: int) -> Vector:
 
 @inlined_part
 def _bar(space: Workspace, regime: int, n: int) -> Vector:
-    """How low guard n has to turn back to make the margin smaller, or how deep an event's guard may at most go."""
+    """Value below which guard n has to turn back to make the margin smaller, or an event's guard may go."""
     return vectors.magnitude(field_of(space, rows.MARGIN, _lash(space, regime, n))) * _scale(space, regime, n)
 
 
 @inlined_part
 def _zero_order(space: Workspace, n: int) -> Vector:
-    """How many derivatives of guard n are zero at the step's beginning, itself included."""
+    """Number of derivatives of guard n, itself included, that are zero at the step's beginning."""
     return vectors.choose(field(space, rows.ZERO_GUARD) == float(n), field(space, rows.ZERO_ORDER), 0.0)
 
 
 @inlined_part
 def _stays(space: Workspace, regime: int) -> int:
-    """Where guards will stay positive for ever, without a miss that counts, and accelerations within their windows."""
+    """Lanes where guards stay positive for ever, without a miss that counts, and accelerations within their windows."""
     stays, watched = -1, space.system.regimes[regime].watched
     for n in range(_functionals_seen(space, regime)):
         if stays == 0:
@@ -281,7 +281,7 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
 
 @inlined_part
 def _passes(space: Workspace, count: int, h: Vector, at_most: Vector) -> int:
-    """Where so many guards are positive by guess up to a time h."""
+    """Lanes where so many guards are positive by guess up to a time h."""
     passes = h <= at_most
     for n in range(count):
         passes &= curves.guess(load_curve(space.seen, n * OF_SEEN + _START), h) > 0.0

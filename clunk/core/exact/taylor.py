@@ -65,7 +65,7 @@ def shift(c: FloatArray, by: Vector) -> None:
 
 @part
 def first_zero(c: FloatArray, near: int, part: Vector) -> tuple[int, Vector, Vector, Vector, Vector]:
-    """Where series turn negative within a part of the shortest span, halved until it is known whether they do.
+    """First zeros of series within a part of the shortest span, halved until it is known whether there are any.
 
     near : the lanes that are concerned
 

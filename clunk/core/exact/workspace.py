@@ -225,7 +225,7 @@ def set_field_of(space: Workspace, name: int, lash: int, values: Vector) -> None
 
 @inlined_part
 def lash_at(space: Workspace, lash: int) -> int:
-    """Where in a run's row the numbers of a lash begin, which `rows` names."""
+    """Position in a run's row of the first number of a lash; `rows` names them."""
     return space.behind + rows.of_lash(lash)
 
 

@@ -58,7 +58,7 @@ def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
 
 @part
 def _sign_change(p: Quartic, low: float, high: float, otherwise: float) -> float:
-    """Where a polynomial that is monotone between two places changes its sign there."""
+    """Zero between two places of a polynomial that is monotone and changes its sign between them."""
     if high <= low or (evaluate(p, low) < 0.0) == (evaluate(p, high) < 0.0):
         return otherwise
     return bisect(p, low, high)

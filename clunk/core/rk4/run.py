@@ -203,7 +203,7 @@ def _begin_piece(
 
 @part
 def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
-    """How long the next step is, from an offset on, and how many of the grid's steps it is the end of."""
+    """Length of the next step, from an offset on, and the number of the grid's steps that end with it."""
     length = (grid.step if index < grid.full else grid.rest) - offset
     if length < _SHORTEST * grid.step and index + 1 < grid.last:
         return length + (grid.step if index + 1 < grid.full else grid.rest), 2

@@ -93,7 +93,7 @@ def expand(system: System, flow: int, x: FloatArray, room: Room) -> None:
 def first_event(
     system: System, regime: int, room: Room, length: float, zero_guard: int, zero_order: int
 ) -> tuple[float, int]:
-    """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
+    """Time at which the first of the regime's guards turns negative within `length`, and its number; else (length, -1).
 
     Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
     guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides; a
