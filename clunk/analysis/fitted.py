@@ -150,7 +150,7 @@ class Fitted(Record):
         return len(self.weights)
 
     @property
-    @tells("independent draws that they are worth", form=".0f", key="effective_draws")
+    @tells("worth independent draws", form=".0f", key="effective_draws")
     def effective(self) -> float:
         """Effective size of the ensemble."""
         return effective_size(self.weights)
