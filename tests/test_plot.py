@@ -272,7 +272,11 @@ def test_dollar_signs_are_only_dollar_signs(nine: Results, tmp_path: Path) -> No
     axes = (replace(RATIO, name="price $x^{"), BACKLASH)
     results = make(axes, nine.labels, nine.sequence, nine.severity)
     for title in ("5 $ and 6 $_{", "2 $ (no. #1) or 3 $"):
-        plot.save(regime_map(replace(results, title=title)), tmp_path / "map.svg")
+        figure = regime_map(replace(results, title=title))
+        plot.save(figure, tmp_path / "map.svg")
+        drawn = [text.get_text() for text in figure.findobj(Text)]
+        assert title.replace("$", r"\$") in drawn
+        assert any(r"Price \$x^{" in text for text in drawn)
 
 
 # --- colours: simulated colour blindness after Machado, Oliveira and Fernandes (2009), severity 1

@@ -27,7 +27,7 @@ from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
-_MOMENT = 0.01  # s, of rolling: the coordinates of modes are rounded as its angle is
+_ROLLING_TIME = 0.01  # s, of rolling: the coordinates of modes are rounded as its angle is
 _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
 
 
@@ -259,7 +259,7 @@ def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
     gap, row, n = at.inputs[gap_input(lash)], at.system.lashes[lash], at.system.inertias
     _, size = rubbing.twist_of(at.system, row, at.x)
     for k in range(n, 2 * n):
-        size += _MOMENT * abs(row[k] * at.x[k])
+        size += _ROLLING_TIME * abs(row[k] * at.x[k])
     _hold(at.system, held, lash, at.x, side * (gap - share * (gap + size)))
 
 

@@ -47,7 +47,7 @@ WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
 # tells that it does, but not what sets it in motion.
 _KICK = 1e-13
-_MOMENT = 1e-3  # s, of the acceleration's terms, which say what that could be where all rests
+_STARTING_TIME = 1e-3  # s, of the acceleration's terms, which say what that could be where all rests
 
 
 @part
@@ -127,7 +127,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             else:
                 row, weights, n = system.frictions[k], 0.0, system.inertias
                 rate, most = _rate(system, row, 0.0, x)
-                kick = _KICK * way * (most + _MOMENT * size) - rate
+                kick = _KICK * way * (most + _STARTING_TIME * size) - rate
                 for j in range(n, 2 * n):
                     weights += row[j] ** 2
                 for j in range(n, 2 * n):
