@@ -47,7 +47,7 @@ WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
 # tells that it does, but not what sets it in motion.
 _KICK = 1e-13
-_STARTING_TIME = 1e-3  # s, of the acceleration's terms, which say what that could be where all rests
+_STARTING_TIME = 1e-4  # s, of the terms of an acceleration, which say what a rate could be that is rounding
 
 
 @part
@@ -104,7 +104,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         if not (k == event or sticking >> k & 1):
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
-            most += terms * at.time  # no rate is known better than its time
+            most += terms * min(at.time, _STARTING_TIME)  # no rate is known better than its time
             if abs(rate) > WITHIN * most:
                 continue
         resting |= 1 << k
