@@ -183,3 +183,28 @@ def test_the_order_of_lashes_and_shafts_does_not_matter():
     renumbered = [(name, side, 1 - lash) for name, side, lash in happened_in(other)]
     assert happened_in(run) == in_order(renumbered, other.events["time"][1:])
     assert run.events["time"] == pytest.approx(other.events["time"], abs=1e-9)
+
+
+FREE_PARTS = """
+driveline = {inertias = [0.0184, 0.002452, 0.004824, 0.002088, 0.006962, 0.001202], shafts = [
+    {between = [1, 4], ratio = -0.7, stiffness = 58.04, damping = 0.0651, friction = 0.29952964251429354},
+    {between = [1, 5], stiffness = 12.09, damping = 0.01384, friction = 0.007954080507457193},
+    {between = [3, 6], ratio = -0.7, stiffness = 45.57, damping = 0.049245, friction = 3.1864940992214392},
+]}
+lash = [
+    {between = [1, 2], backlash_deg = 4.23, radius = 0.08168, contact = CONTACT},
+    {between = [2, 3], ratio = -1.0, backlash_deg = 0.9699, radius = 0.02848, contact = CONTACT},
+]
+load = {initial_torque = -5.827, final_torque = -1.149}
+solver = {method = "exact", step = 2e-4, end_time = 0.05}
+"""
+
+
+def test_two_free_parts_whose_flanks_rest_on_each_other_go_on_together():
+    """Inertias 3 and 6, which friction holds together, and 2 come to rest on each other in the gap of the other lash:
+    nothing presses them, and the rounding of nothing is no touch."""
+    study = clunk.study_from_text(FREE_PARTS.replace("CONTACT", '{model = "restitution", restitution = 0.573}'))
+    run, other = simulate(study), simulate(study.but(solver=study.solver.but(method="rk4")))
+    assert [each.label for each in run.lashes] == [each.label for each in other.lashes] == ["SS(1)", "SS(2)"]
+    assert len(run.events) < 100
+    assert balance(run).relative_residual < 1e-10

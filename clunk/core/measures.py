@@ -152,7 +152,7 @@ def _measure(
     for lash in range(lashes):
         first, last = room.first[lash], room.first[lash + 1]
         for j in range(OF_IMPACTS):
-            totals[lash, j] = root_of_squares(room.of_impacts[first:last, j], last - first)
+            totals[lash, j] = root_of_squares(room.of_impacts[first:last, j])
         totals[lash, PEAK_TORQUE] = 0.0
         for i in range(first, last):
             totals[lash, PEAK_TORQUE] = np.maximum(totals[lash, PEAK_TORQUE], room.of_impacts[i, PEAK_TORQUE])

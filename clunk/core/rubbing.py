@@ -104,7 +104,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         if not (k == event or sticking >> k & 1):
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
-            most += terms * min(at.time, _STARTING_TIME)  # no rate is known better than its time
+            most += terms * _STARTING_TIME
             if abs(rate) > WITHIN * most:
                 continue
         resting |= 1 << k

@@ -32,9 +32,9 @@ def copy(numbers: FloatArray, to: FloatArray) -> None:
 
 
 @compiled
-def root_of_squares(values: FloatArray, count: int) -> float:
-    """The square root of the sum of the squares of `values[:count]`, summed in order."""
+def root_of_squares(values: FloatArray) -> float:
+    """The square root of the sum of the squares of values, summed in order."""
     total = 0.0
-    for i in range(count):
+    for i in range(values.size):
         total += values[i] ** 2
     return np.sqrt(total)

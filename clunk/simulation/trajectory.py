@@ -108,12 +108,12 @@ class Trajectory:
         """Q = sqrt(sum Q_i²)  [rad/s2] (report Eq. 3.3); not defined for the restitution model (NaN)."""
         if self.study.has_rigid_flanks:
             return float("nan")
-        return root_of_squares(self.impact_severity, self.impact_severity.size)
+        return root_of_squares(self.impact_severity)
 
     @property
     def approach_velocity(self) -> float:
         """V = sqrt(sum v_i²), v_i the relative velocity just before primary impact i  [rad/s]."""
-        return root_of_squares(self.events["speed"][self.primaries], self.primaries.size)
+        return root_of_squares(self.events["speed"][self.primaries])
 
     def kind_name(self, k: int) -> str:
         """The name of event `k`: load step, touch, separation, rejoin, opening or lock."""

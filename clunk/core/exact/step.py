@@ -354,11 +354,13 @@ def _first_zero(
     lost = near & ~(start - start == 0.0)
     near &= ~lost
     within = vectors.larger(noise, WITHIN * scale)
-    starts = (order == 0.0) & (start <= noise) & (start >= -within)
-    order = vectors.choose(starts, 1.0, order)
-    for n in range(1, 3):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
+    given = order > 0.0
+    starts = given | (start <= noise) & (start >= -within)
+    order = vectors.choose(starts & ~given, 1.0, order)
+    for n in range(1, 4):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
         starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= 4.0 * noise)
         order = vectors.choose(starts, n + 1.0, order)
+    near &= ~starts  # they move together, and nothing presses them on each other
     for n in range(3):  # zeros at the beginning are divided out
         shifted = order > float(n)
         if shifted == 0:
