@@ -70,8 +70,10 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
         click.echo()
     values = [("shuffle", "none" if shuffle is None else f"mode {shuffle + 1} of the closed lash")]
     values += [(f"contact period T_c{f', {name}' * several}", f"{1e3 * time:.2f} ms") for name, time in periods.items()]
-    steps = f"{study.solver.step:g} s, {steps_a_period(study):.1f} steps a period of the fastest mode"
-    tables.print_values([*values, ("solver.step", steps)])
+    if study.solver.method == "rk4":
+        steps = f"{study.solver.step:g} s, {steps_a_period(study):.1f} steps a period of the fastest mode"
+        values.append(("solver.step", steps))
+    tables.print_values(values)
     if several:
         return
     click.echo()
