@@ -60,8 +60,8 @@ _MAX_CONDITION = 4e4  # of unit eigenvectors in energy coordinates, by Frobenius
 _TINY = 1e-300  # instead of zero, as a divisor
 _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
-# a drift's decay, of the softest mode's rate, that is none: a speed that is steady at last would be a difference of
-# numbers so much larger
+# Of the softest mode's rate (1 rad/s without any): a drift that decays more slowly counts as undamped. Its speed would
+# be measured from the one that it has at last, and of a difference of numbers that large no digits are left.
 _TOO_SLOW = 1e-10
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _GROWTH = math.exp(_SHORTEST / 2.0)
