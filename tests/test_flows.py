@@ -98,6 +98,14 @@ def test_a_part_that_only_a_bearing_brakes_stands_still_at_last():
     assert np.abs(one - last).max() == pytest.approx(11.0 * np.abs(other - last).max(), rel=0.05)
 
 
+def test_parts_that_bearings_brake_fast_and_slowly_have_modes():
+    """Of two parts in the open gap one stops within 1e-4 s, the other in 30 s: each displacement has its own size."""
+    free = [f"driveline.shafts[{shaft}].stiffness=0" for shaft in (1, 2, 3)]
+    dampings = [f"driveline.shafts[{shaft}].damping={c}" for shaft, c in ((1, 0.0), (2, 5.0), (3, 1e-4), (4, 200.0))]
+    study = clunk.load_study(CONFIGS / "nominal.toml", ['solver.method="exact"', *free, *dampings])
+    assert prepare_one(of_system(study)).tables.modal.all()
+
+
 @pytest.mark.parametrize("damping", [1e-12, 1e-11, 1e-10, 1e-9, 1e-8])
 def test_a_bearing_that_all_but_brakes_nothing_changes_next_to_nothing(damping):
     """The speed that it would allow at last, of up to 1e12 rad/s, is no origin to measure speeds from."""

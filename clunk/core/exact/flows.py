@@ -391,10 +391,10 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         block[:, end, end + 1] = 1.0
         end += 2
     damped = np.flatnonzero(drift[:half] & ~drift[half:])
-    slow = damped.size if _are_moved_apart(damped, decaying) else 0
-    fast = decays - slow
+    moved = _moved_far(damped, decaying)
+    slow, fast = moved.size, decays - moved.size
     far = np.zeros((count, size, slow))  # the displacement that is left to go while such a velocity decays
-    far[:, damped[:slow]] = decaying[:, damped[:slow], fast:]
+    far[:, moved] = decaying[:, moved, fast:]
     near = decaying[..., fast:] - far
     lengths, speeds = np.linalg.norm(far, axis=-2), np.linalg.norm(near, axis=-2)
     at = end + 2 * np.arange(slow)
@@ -408,7 +408,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         # what rings keeps spans short as well, by its share of the time that the partner lasts
         lasting = -partner, *(turning.T * (partner / np.minimum(sigma[:, :rings].T, partner - _TINY)))
         slots[k + 1 :] += slots[k] % 2 == 0 and alike(-quick > _FASTER * np.stack(lasting).max(axis=0), 0)
-    alone = damped[slow:]
+    alone = np.setdiff1d(damped, moved)
     basis[:, alone, size - alone.size + np.arange(alone.size)] = 1.0
     try:
         inverse = np.linalg.inv(basis)
@@ -424,14 +424,17 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     return _Modes(basis, inverse @ (2.0 * np.eye(size) - basis @ inverse), block, slots)
 
 
-def _are_moved_apart(damped: IntArray, decaying: FloatArray) -> bool:
-    """Whether the slowest decaying modes, as many as there are damped drifts, move each of these, far, and no fewer."""
-    if not 0 < damped.size <= decaying.shape[-1]:
-        return False
-    columns = decaying[:, damped, -damped.size :]
-    lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
-    moved = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
-    return bool(alike((moved[:, -1] > _APART) & (lengths.min(axis=(-2, -1)) > 1.0 / _FASTER), 0))
+def _moved_far(damped: IntArray, decaying: FloatArray) -> IntArray:
+    """The damped drifts that the slowest decaying modes move, far: as many as these modes, and no fewer."""
+    for slow in range(min(damped.size, decaying.shape[-1]), 0, -1):
+        columns = decaying[:, damped, -slow:]
+        lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
+        units = columns / np.where(lengths > 0.0, lengths, 1.0)
+        most = alike(np.sort(np.argsort(-np.linalg.norm(units, axis=-1), axis=-1, kind="stable")[:, :slow]))
+        apart = np.linalg.svd(units[:, most], compute_uv=False)[:, -1] > _APART
+        if alike(apart & (lengths.min(axis=(-2, -1)) > 1.0 / _FASTER), 0):
+            return damped[most]
+    return damped[:0]
 
 
 @compiled
