@@ -30,7 +30,7 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.parameters import located
-from clunk.study.rules import count_of_regimes
+from clunk.study.rules import count_of_flows, count_of_regimes
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.runner import Runner
@@ -206,7 +206,7 @@ def narrow(
 
 Word = str | bool | int  # an outcome: a label, whether something holds, or a count
 
-_STEPS = 1_000  # of rk4 that take as long as a unit of `PointRuns.cost`
+_STEPS = 1_000  # of a run that take as long as a unit of `PointRuns.cost`
 
 
 def in_halves(run: Callable[[Floats], Array], points: Floats, refused: Array) -> Array:
@@ -260,14 +260,14 @@ class PointRuns:
     @property
     def cost(self) -> int:
         """Cost of a run, relative to other studies': 23 of one lash by gap, without friction or stages."""
-        study = self.runner.study
-        steps = study.solver.end_time / study.solver.step if study.solver.method == "rk4" else 0.0
-        return max(round(steps / _STEPS), 20 + count_of_regimes(study))
+        grid = self.runner.grid
+        return max(round(grid.steps() / _STEPS), 20 + count_of_regimes(grid.study))
 
     @property
     def preparing(self) -> int:
         """Cost of preparing a driveline, in runs without touches, where each run has its own."""
-        return bool(self.runner.grid.structural) * len(self.runner.study.driveline.inertias) ** 2 // 3
+        study = self.runner.study
+        return bool(self.runner.grid.structural) * count_of_flows(study) * len(study.driveline.inertias) ** 2 // 6
 
     def __call__(self, values: Floats) -> Points:
         """Run points, (n, parameters), in their units."""

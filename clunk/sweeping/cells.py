@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from clunk.core import tile as kernel
 from clunk.core.events import EVENT
+from clunk.core.exact.flows import Flows
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.status import QUALITY_UNDECIDED, Status
@@ -155,6 +156,13 @@ class Grid:
     def _nominal(self) -> kernel.Batch:
         """The driveline with the study's own values of structural parameters."""
         return prepare_one(of_system(self.study))
+
+    def steps(self) -> float:
+        """Steps that a run takes at least: all of rk4's, and by the exact method those in a flow without modes."""
+        tables, step = self._nominal.tables, self.study.solver.step
+        if isinstance(tables, Flows):
+            step = np.where(tables.modal, np.inf, tables.span[..., 0]).min()
+        return self.study.solver.end_time / step
 
     def shared(self) -> System | None:
         """The system that all cells share, if they do."""
