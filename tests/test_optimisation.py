@@ -303,6 +303,13 @@ def test_what_cannot_be_optimised_is_refused_in_a_sentence(old, new, sentence):
     assert sentence in " ".join(str(caught.value).split())
 
 
+def test_a_load_that_never_rests_has_no_release_time():
+    study = damped_ramp("release_time")
+    study = study.but(load=study.load.but(profile="lag", duration=None, time_constant=0.1))
+    with pytest.raises(clunk.ClunkError, match='a load of profile "lag" never rests'):
+        optimize(study)
+
+
 def test_keys_may_go_by_names(brief):
     named = study_from_text(
         DAMPED_RAMP.format(minimize='"driveline.inertias[ring]"', subject_to="[]", longest=0.3)

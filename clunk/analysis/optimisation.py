@@ -131,6 +131,8 @@ class Problem:
         self.low, self.high = np.array([(each.low, each.high) for each in free]).T
         keys = [key for each in free for key in each.keys]
         is_of_runs = minimize not in (*keys, RELEASE_TIME)
+        if minimize == RELEASE_TIME and study.load.profile in ("lag", "sine"):
+            raise ClunkError(f'optimize.minimize = "{minimize}": a load of profile "{study.load.profile}" never rests.')
         self._numbers = [quantity_of(shown, study)] if shown else []
         with _errors_of("minimize, a free key, release_time or a quantity"):
             self._numbers += [quantity_of(minimize, study)] if is_of_runs else []
