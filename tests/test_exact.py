@@ -5,6 +5,7 @@ The reference and the exact method are each good to rounding; how far they agree
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from helpers import margins, reference
 from helpers.agreement import both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
 from helpers.reference import CONTACTS
 
+import clunk
 from clunk.api import run_points
 from clunk.core.status import QUALITY_GRAZING
 
@@ -64,6 +66,22 @@ def test_the_margin_is_the_smallest_of_all_near_misses(ratio, backlash, contact)
     plant = reference.boere(ratio, backlash, **CONTACTS[contact])
     expected = margins.margin(plant, from_preload(plant), 2.0, sticking_time(plant))
     assert exact(plant).margin == pytest.approx(expected.margin, abs=1e-9), expected
+
+
+@pytest.mark.parametrize("profile", ["step", "ramp", "smooth", "lag"])
+def test_a_flank_that_carries_little_before_the_load_step_has_that_as_its_margin(profile):
+    """The torque grows from there, with a slope of zero, so that rounding must not tell whether it turns back there.
+
+    The margin goes through zero where the initial flank is the other one, and with it the label.
+    """
+    load = [f"load.profile={profile!r}", "load.initial_torque=-3", "load.final_torque=-33"]
+    load += ["load.duration=0.06"] * (profile in ("ramp", "smooth")) + ["load.time_constant=0.06"] * (profile == "lag")
+    study = clunk.load_study(Path("configs/nominal.toml"), ['solver.method="exact"', *load])
+    torques = np.concatenate([-np.linspace(0.001, 8.0, 101), [0.001, 0.1]])
+    runs = run_points(study, {"load.initial_torque": torques}, workers=1)
+    assert runs.margin == pytest.approx(torques / -33.0, rel=1e-9)
+    assert set(runs.label_map[:101]) == {"NI"}
+    assert "NI" not in set(runs.label_map[101:])
 
 
 def quality_of(plant):

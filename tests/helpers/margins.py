@@ -9,6 +9,8 @@ touch's, and of that torque.
 Negative, what did: how deep a primary touch, or the end of sticking (by force: the opening), would go until it turned
 back, were the guard not to act; of a lock, before a touch on the same side, the torque that holds; and one less the age
 over the sticking time, of either sign, for every separation.
+
+And the torque before the load step over the last one, to both of which what a flank carries is in proportion.
 """
 
 from bisect import bisect_right
@@ -108,7 +110,8 @@ def candidates(plant, events, end, sticking):
     rigid = plant.restitution is not None
     by_force = plant.separation == "force" and not rigid
     fastest, last_touched, lock = 0.0, events[0].side, MOST
-    began, last_side, every, stuck = -np.inf, events[0].side, [], False
+    began, last_side, stuck = -np.inf, events[0].side, False
+    every = [Candidate(plant.before / plant.final, "at first", 0.0)] if plant.final else []
     for event, following in zip(events, [*events[1:], None], strict=True):
         if event.kind in ("touch", "lock"):
             began, last_side = event.time, event.side

@@ -8,7 +8,8 @@ It is the smallest in size of
   side, the larger of their speed, as a share of the fastest touch's, and of that torque, likewise;
 - negative, what did: how much further a primary touch, or the end of a sticking contact, would have gone, were the
   contact not to change; where rigid flanks lock, and touch again on the same side, the torque that locks them;
-- of either sign: 1 - (length of a contact)/(sticking time), at each separation.
+- of either sign: 1 - (length of a contact)/(sticking time), at each separation; and the torque in contact before the
+  load step, as a share of the one at rest at the load's end.
 
 The turns of guards, and how deep they would go, `search` finds within a step.
 """
@@ -41,6 +42,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
     """Set `static`: how far flanks overlap, or the torque that locks them, in steady motion at the load's end.
 
     Where there is none, it is that before the load step; without a flank it is zero. The run's state is overwritten.
+    Takes the margin of the initial flanks.
     """
     system, inputs = system_of(space, slot), space.inputs[slot]
     x, torque, rate = space.state[slot, : system.lashes.shape[1]], inputs[TORQUE], inputs[TORQUE_RATE]
@@ -51,10 +53,10 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
         status, regime = preload(system, inputs, x)
     for lash in range(system.lash_count):
         side = system.contacts[regime, lash].side
-        if system.impulsive != 0:
-            static = side * steady_torque(system, regime, lash, inputs)
-        else:
-            static = overlap_of(system, lash, side, x, inputs)
+        torque = steady_torque(system, regime, lash, inputs)
+        static = side * torque if system.impulsive else overlap_of(system, lash, side, x, inputs)
+        own = space.numbers[slot, lash_at(space, lash) :]
+        _take(own, steady_torque(system, start.regime, lash, start.before) / torque)
         space.courses[slot, lash].static = max(static, 0.0) if status == OK else 0.0
     inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
 
@@ -82,7 +84,7 @@ def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
     slightly held, as at a lock.
     """
     system, row = at.system, space.runs[slot]
-    if system.impulsive == 0 or system.guards[row.regime, row.guard].event_kind != TOUCH:
+    if not system.impulsive or system.guards[row.regime, row.guard].event_kind != TOUCH:
         return
     for n in range(row.count, entry.written):
         event = space.events[slot, n]
