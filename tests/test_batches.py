@@ -78,6 +78,17 @@ def points_of(study, seed, count):
     return points
 
 
+@pytest.mark.parametrize("restitution", [None, 0.4])
+def test_tables_that_are_made_once_are_those_of_each(restitution):
+    """Frictions and restitution are in no flow; some of the drivelines differ in an inertia, too."""
+    study = study_from_text(reference.config_of(element_plant(3, 1, 1, 2, restitution), method="exact", end_time=0.3))
+    number = 1 + next(k for k, shaft in enumerate(study.driveline.shafts) if shaft.friction > 0.0)
+    frictions = {f"driveline.shafts[{number}].friction": np.linspace(0.1, 0.4, 9)}
+    bouncing = {} if restitution is None else {"lash.contact.restitution": np.linspace(0.2, 0.6, 9)}
+    same_as_alone(study, {**frictions, **bouncing})
+    same_as_alone(study, {**frictions, **bouncing, "driveline.inertias[1]": np.repeat([0.01, 0.02, 0.015], 3)})
+
+
 MEASURES = [
     'impacts.quantities=["impulse", "peak_torque", "energy"]',
     'measures=[{name="play", quantity="twist", of="lash 1", reduce="peak-to-peak"}]',

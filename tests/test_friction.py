@@ -136,6 +136,19 @@ def test_three_that_hold_two_inertias_give_way_where_that_is_easiest(frictions, 
     assert gives_way == pytest.approx(min(one + 1.5, one + other) / 10.0, abs=1e-9)
 
 
+def test_what_creeps_to_rest_comes_to_rest():
+    """The last of the change is 1e-10 of it. Three frictions give way and hold in turns, with rates and torques beyond
+    theirs that are ever smaller shares of what they consist of, until these are as small as rounding."""
+    rubbing = [f"driveline.shafts[{k + 1}].friction={most}" for k, most in enumerate((1.680545, 0.059849, 2.045346))]
+    masses = [f"driveline.inertias[{k}]={mass}" for k, mass in ((1, 0.03695853), (3, 0.01044784))]
+    load = ["load.profile='lag'", "load.time_constant=0.22340648", "solver.end_time=8.0"]
+    braked = ["driveline.shafts[3].damping=3.9", "driveline.shafts[2].ratio=-1.0", "lash.contact.damping=997.35"]
+    run = simulate(nominal(*METHODS["exact"], *rubbing, *masses, *load, *braked))
+    assert run.label == "NI"
+    assert len(changes(run)[0]) < 200
+    assert balance(run).relative_residual < 1e-9
+
+
 @pytest.mark.parametrize("stiffness", [5e6, 1e7])
 def test_beside_a_stiff_shaft_that_sticks_a_free_part_stays_free(stiffness):
     """In the open gap nothing holds inertias 1 to 3: the rounding of a spring that is held must not do so either."""

@@ -24,7 +24,7 @@ from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer, reference_at, rows_of
 from clunk.core.regimes import System, overlap_of, speed_of
 from clunk.core.rigid import held_with
-from clunk.core.runs import begin_wave, end_of_piece, piece_at, set_gaps, set_torque
+from clunk.core.runs import end_of_piece, go_on
 from clunk.core.status import OK
 from clunk.core.sums import combine, copy, root_of_squares
 from clunk.core.switching import set_weighed
@@ -121,31 +121,26 @@ def _measure(
     totals: FloatArray,
 ) -> None:
     """Measure the run of cell k, of one of the drivelines."""
-    size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, 0, system.lash_count
+    size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, -1, system.lash_count
     x, shortest, load = room.z[:size], INSTANT if lashes > 1 else 0.0, cases.loads[k % cases.loads.shape[0]]
     events, written = output.logs[k], 0
     while written < events.size and not np.isnan(events[written].time):
         written += 1
-    set_gaps(system, cases.before[k], room.inputs)
-    begin_wave(system, load, 0, x)
+    copy(cases.before[k], room.inputs)
     room.ranges[:, 0], room.ranges[:, 1] = np.inf, -np.inf
     for lash in range(lashes):
         room.row[lash] = room.first[lash] - 1
     for e in range(written):
         event = events[e]
         copy(output.states[k, e, :n], x)
-        if channels.of_impacts != 0 and event.lash >= 0:
+        if channels.of_impacts and event.lash >= 0:
             _add_event(system, channels, driveline, events[:written], output.states[k], e, output.impacts, room)
         time, end = event.time, system.end_time[0]
         if e + 1 < written:
             end = events[e + 1].time
         while end - time > shortest:
-            now = piece_at(load, piece, time)
-            if now != piece:
-                piece = now
-                begin_wave(system, load, piece, x)
+            piece = go_on(system, load, piece, time, x, room.inputs)
             until = min(end, end_of_piece(system, load, piece))
-            set_torque(system, load, piece, time, room.inputs)
             set_weighed(system, event.regime, room.inputs, room.z[size:])
             _follow(system, channels, driveline, event.regime, until - time, room)
             time = until
@@ -182,7 +177,7 @@ def _add_event(
     following, torque = row[lash] + 1, OF_LASH * lash + CONTACT_TORQUE
     if event.kind == TOUCH and following < first[lash + 1] and impacts[following].time == event.time:
         row[lash], room.ranges[torque, 0], room.ranges[torque, 1] = following, 0.0, 0.0
-    if system.impulsive != 0:
+    if system.impulsive:
         if event.kind != TOUCH or (e + 1 < events.size and _are_one_impact(events, states, e)):
             return
         begin, together = e, held_with(system, event.regime, -1) | 1 << lash

@@ -27,20 +27,17 @@ def chain(inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, wave:
     return rates
 
 
-def locked(matrix: FloatArray, inertia: FloatArray, lashes: FloatArray, closed: Sequence[int]) -> FloatArray:
-    """A or B with q' = 0 of the closed lashes as true constraints: inertias that they tie move in a fixed ratio.
+def locked(matrix: FloatArray, inertia: FloatArray, ties: FloatArray) -> FloatArray:
+    """A or B with q' = 0 of closed lashes as true constraints: inertias that they tie move in a fixed ratio.
 
     Without gear ratios such inertias share one acceleration, to the last bit.
 
-    lashes : (L, n) float64
-        q = row · θ.
-    closed : (L,) of int
-        Whether each is.
+    ties : `Reduction.expand` of these lashes
     """
-    if not any(closed):
+    n, left = inertia.shape[-1], ties.shape[-1] // 2
+    if left == n:
         return matrix
-    n, matrix, ties = inertia.shape[-1], matrix.copy(), constrained(lashes, closed).expand
-    basis = ties[..., :n, : ties.shape[-1] // 2]
+    matrix, basis = matrix.copy(), ties[..., :n, :left]
     weighed = inertia[..., None] * basis
     together = np.sum(weighed * basis, axis=-2)[..., None]
     matrix[..., n : 2 * n, :] = basis @ (weighed.swapaxes(-1, -2) @ matrix[..., n : 2 * n, :] / together)
@@ -64,7 +61,10 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
     It is the last of those that turn as q does, not through the gear ratio: q' is then zero to the last bit. Of the
     rows of `expand`, none has more than one entry for the angles. A lash that the others lock adds nothing.
 
-    lashes, closed : as for `locked`
+    lashes : (L, n) float64
+        q = row · θ.
+    closed : (L,) of int
+        Whether each is.
     """
     *batch, count, n = lashes.shape
     basis = np.eye(n)

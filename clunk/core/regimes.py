@@ -12,6 +12,7 @@ A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d,
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from clunk.core.arrays import FloatArray, IntArray, Positions, Records
 from clunk.core.batches import alike
 from clunk.core.equilibrium import steady_motion
 from clunk.core.jit import inlined_part, part
-from clunk.core.reductions import chain, locked
+from clunk.core.reductions import chain, constrained, locked
 from clunk.core.status import NO_EQUILIBRIUM, OK
 from clunk.core.sums import weigh
 from clunk.core.tables import (
@@ -165,12 +166,6 @@ def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
 
 
 @inlined_part
-def state_of_friction(system: System, regime: int, friction: int) -> int:
-    """The state of a friction in a regime: one of `tables.STICKS` and those behind it."""
-    return system.friction_states[regime, friction]
-
-
-@inlined_part
 def stride_of_friction(system: System, friction: int) -> int:
     """Stride of a regime's number with the state of a friction."""
     return system.regime_strides[system.element_count - system.friction_count + friction]
@@ -299,9 +294,18 @@ def build_system(
         rows[..., speeds] = array
         return rows
 
-    def ties_in(flow: int) -> list[int]:
-        """The constraints of a flow: whether each of the rigid lashes is closed, and each of the frictions sticks."""
-        return [*(impulsive * closed for closed in every[flow].closed), *every[flow].stuck]
+    # the constraints of each flow: whether each of the rigid lashes is closed, and each of the frictions sticks
+    held = [(*(impulsive * closed for closed in flow.closed), *flow.stuck) for flow in every]
+
+    @cache
+    def ties_of(held: tuple[int, ...]) -> FloatArray:
+        return constrained(tied, held).expand
+
+    @cache
+    def yielding_of(tie: int, held: tuple[int, ...]) -> FloatArray:
+        """(…, 1) the acceleration of a tie by a torque of 1 N m across it, with other constraints."""
+        pushed = by_speeds(tied[..., tie, :] / inertia)[..., None]
+        return _across(tied[..., tie, :], locked(pushed, inertia, ties_of(held))[..., speeds, :])
 
     torques = np.zeros((*batch, n, driven))  # on the inertias, in every flow, by each input
     torques[..., TORQUE] = load
@@ -317,7 +321,7 @@ def build_system(
             if every[flow].closed[k] and not impulsive:
                 inputs[..., speeds, half_gap_of(k)] = pressing[..., k, :] / inertia
         matrices = chain(inertia, *chains[every[flow]], states - mechanical), inputs
-        return [locked(matrix, inertia, tied, ties_in(flow)) for matrix in matrices]
+        return [locked(matrix, inertia, ties_of(held[flow])) for matrix in matrices]
 
     flows = range(len(every))
     rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, flows), strict=True))
@@ -328,9 +332,8 @@ def build_system(
     def set_holding(flow: int, tie: int, functional: int) -> bool:
         """Make a functional the torque that ties two parts in a flow; false if the other constraints do so already."""
         tie_stride = 1 << tie if tie < count else stuck_stride << tie - count
-        others, twist = flow - ties_in(flow)[tie] * tie_stride, tied[..., tie, :]
-        pushed = by_speeds(twist / inertia)[..., None]
-        yielding = _across(twist, locked(pushed, inertia, tied, ties_in(others))[..., speeds, :])
+        others, twist = flow - held[flow][tie] * tie_stride, tied[..., tie, :]
+        yielding = yielding_of(tie, held[others])
         if alike(yielding[..., 0] <= _SINGULAR * np.sum(twist**2 / inertia, axis=-1), 0):
             return False
         functionals[..., flow, functional, :] = _across(twist, rates[..., others, speeds, :]) / yielding

@@ -12,15 +12,7 @@ from clunk.core import rubbing
 from clunk.core.arrays import FloatArray, Records
 from clunk.core.events import INSTANT, LOCK, SEPARATION, STAGE, TOUCH
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import (
-    ROUNDING,
-    System,
-    gap_input,
-    guard_of,
-    lash_of,
-    opened,
-    speed_of,
-)
+from clunk.core.regimes import ROUNDING, System, gap_input, guard_of, lash_of, opened, speed_of
 from clunk.core.runs import Entry, Log, Moment, record
 from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 
@@ -46,7 +38,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     slowest, before = _locking_speed(at, log, regime, lash, speed), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
     held = closed = held_with(system, regime, lash)
-    if held != 0 and abs(speed) > slowest:
+    if held and abs(speed) > slowest:
         held = _held_through(system, regime, lash, side, at.inputs)
     for other in range(system.lash_count):
         if (closed & ~held) >> other & 1:
@@ -94,7 +86,7 @@ def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds:
         gap = at.inputs[gap_input(other)]
         # `_part_by` moves one of those that part at one time
         is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 3.0 * _APART * (gap + size)
-        if other == lash or system.contacts[regime, other].closed != 0 or not is_near:
+        if other == lash or system.contacts[regime, other].closed or not is_near:
             continue
         slowest = _locking_speed(at, log, regime, other, its_speed)
         if (system.restitution[other] * abs(its_speed) > slowest) == rebounds:
@@ -199,7 +191,7 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
     """The regime with those lashes closed that have not separated, as the log tells, and whose flanks others hold."""
     system, events = at.system, log.events
     for lash in range(system.lash_count * system.impulsive if system.friction_count > 0 else 0):
-        if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(at, regime, lash):
+        if not system.contacts[regime, lash].closed and rubbing.is_carried(at, regime, lash):
             last = count - 1
             while last > 0 and events[last].lash != lash:
                 last -= 1
@@ -219,7 +211,7 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
         The lashes that touch at this moment, as bits, whose flanks do not separate.
     """
     system, x, count, first = at.system, at.x, entry.written, -1
-    if system.impulsive == 0:
+    if not system.impulsive:
         return entry
     held = held_with(system, entry.regime, -1)
     for lash in range(system.lash_count):
@@ -227,7 +219,7 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
         if side in (0, now):
             continue
         is_carried = now == 0 and rubbing.is_carried(at, entry.regime, lash)
-        if now != 0:
+        if now:
             _hold(system, held & ~(1 << lash), lash, x, 0.0)
         elif not is_carried and first < 0 and entry.zero_guard < 0:
             first = lash  # released where it was held, but for what rounding has added up
@@ -240,7 +232,7 @@ def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entr
             free = opened(system, entry.regime, lash)
             record(at, log, count, 0.0, SEPARATION, free, lash, side)
             count += 1
-            if now != 0:
+            if now:
                 record(at, log, count, 0.0, TOUCH, free, lash, now)
                 record(at, log, count + 1, 0.0, LOCK, entry.regime, lash, now)
                 count += 2
@@ -291,7 +283,7 @@ def keep_locked(system: System, regime: int, x: FloatArray, inputs: FloatArray) 
     """Bring the locked flanks of several lashes back to each other, from which rounding drives them step by step."""
     for lash in range(system.lash_count * system.impulsive):
         contact = system.contacts[regime, lash]
-        if contact.closed != 0 and system.lash_count > 1:
+        if contact.closed and system.lash_count > 1:
             _hold(system, held_with(system, regime, lash), lash, x, contact.side * inputs[gap_input(lash)])
 
 
@@ -317,7 +309,7 @@ def _place(system: System, held: int, lash: int, x: FloatArray, first: int, targ
     rest = -target
     for k in range(n):
         weight = row[n + k]
-        if weight != 0.0 or held != 0:
+        if weight != 0.0 or held:
             x[first + k] -= excess * impulse[n + k]
         if weight != 0.0:
             rest += weight * x[first + k]

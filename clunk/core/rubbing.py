@@ -19,6 +19,7 @@ An impact is over before a friction's torque makes an impulse: what it sets in m
 import numpy as np
 
 from clunk.core.arrays import FloatArray
+from clunk.core.events import INSTANT
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
     System,
@@ -27,7 +28,6 @@ from clunk.core.regimes import (
     input_of_friction,
     opened,
     rate_of_friction,
-    state_of_friction,
     stride_of_friction,
 )
 from clunk.core.runs import Moment
@@ -50,6 +50,17 @@ _KICK = 1e-13
 _STARTING_TIME = 1e-4  # s, of the terms of an acceleration, which say what a rate could be that is rounding
 
 
+@inlined_part
+def tolerance_after(phase: float) -> float:
+    """`WITHIN`; but at an event that ends a phase of no time, 0.
+
+    There the states that were chosen within rounding gave way at once, as they would again. Signs decide then.
+
+    phase : float  [s]
+    """
+    return WITHIN if phase >= INSTANT else 0.0
+
+
 @part
 def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
     """Set the twists at which frictions stick, inputs of a run, to those of a state  [rad]."""
@@ -68,7 +79,7 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
         state, (rate, most) = STICKS, _rate(system, system.frictions[k], speed, x)
         if abs(rate) > WITHIN * most:
             state = SLIPS_FORWARD if rate > 0.0 else SLIPS_BACKWARD
-        regime += stride_of_friction(system, k) * (state - state_of_friction(system, regime, k))
+        regime += stride_of_friction(system, k) * (state - system.friction_states[regime, k])
     return regime
 
 
@@ -105,7 +116,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             most += terms * _STARTING_TIME
-            if abs(rate) > WITHIN * most:
+            if abs(rate) > at.within * most:
                 continue
         resting |= 1 << k
     failed = regime if ended >= 0 and event < 0 else -1
@@ -113,14 +124,14 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
 
     zero_guard, zero_order = -1, 0
     for k in range(count):
-        state = state_of_friction(system, best, k)
+        state = system.friction_states[best, k]
         if state == STICKS:
-            if state_of_friction(system, regime, k) != STICKS:
+            if system.friction_states[regime, k] != STICKS:
                 inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
         elif resting >> k & 1 and not _is_held(system, best, rate_of_friction(system, k)):
             way = 1.0 if state == SLIPS_FORWARD else -1.0
             speeds_up, size = derivative(at, best, rate_of_friction(system, k), 1)
-            clearly = abs(speeds_up) > WITHIN * size
+            clearly = abs(speeds_up) > at.within * size
             sets_off = clearly or way * derivative(at, best, rate_of_friction(system, k), 2)[0] > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
@@ -140,7 +151,7 @@ def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
     """Whether sticking frictions and some locked lashes, as bits, fit their states in a regime; see `choose_states`."""
     sticking = _sticking_in(at.system, regime)
     has_excess = at.system.excess[at.system.regimes[regime].flow] != 0
-    return not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= WITHIN
+    return not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= at.within
 
 
 @inlined_part
@@ -189,13 +200,13 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
             for j in range(count):  # first the one that the event is of
                 k = (max(event, 0) + j) % count
                 if resting >> k & 1:
-                    candidate += (digits % 3 - state_of_friction(system, regime, k)) * stride_of_friction(system, k)
+                    candidate += (digits % 3 - system.friction_states[regime, k]) * stride_of_friction(system, k)
                     digits //= 3
             stays = candidate == failed
             if event >= 0:  # what could not stick does not stick again
-                states = state_of_friction(system, regime, event), state_of_friction(system, candidate, event)
+                states = system.friction_states[regime, event], system.friction_states[candidate, event]
                 stays = states == (STICKS, STICKS)
-            if stays or system.excess[system.regimes[candidate].flow] != 0:
+            if stays or system.excess[system.regimes[candidate].flow]:
                 continue
             misfit = _misfits(at, candidate, regime, locked, resting)
             if misfit == 0.0:
@@ -228,9 +239,9 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     torque, size = derivative(at, regime, functional, 0)
     slope, slope_size = derivative(at, regime, functional, 1)
     size += slope_size * at.time
-    if -way * torque > WITHIN * size:
+    if -way * torque > at.within * size:
         return -way * torque / size
-    return WITHIN if way * torque < WITHIN * size and way * slope < -WITHIN * slope_size else 0.0
+    return at.within if way * torque < at.within * size and way * slope < -at.within * slope_size else 0.0
 
 
 @part
@@ -238,30 +249,30 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
     """Misfit of a friction at rest to its state in a regime, as a share of the terms; 0 where it fits.
 
     Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
-    it is `WITHIN` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.
+    it is `within` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.
     """
     system, most, way = at.system, at.system.friction_torques[friction], 1.0
-    state, functional, order = state_of_friction(system, regime, friction), rate_of_friction(system, friction), 2
+    state, functional, order = system.friction_states[regime, friction], rate_of_friction(system, friction), 2
     if state == STICKS:
         functional, order = functional + HOLDING, 1
         torque, size = derivative(at, regime, functional, 0)
         beyond, size, way = abs(torque) - most, size + most, -torque
         # rigid flanks: at F, and not only at the little more that it holds
-        limit = most if system.impulsive == 0 else most / (1.0 + ABOVE)
-        is_at_limit = abs(torque) - limit > -WITHIN * size
+        limit = most / (1.0 + ABOVE) if system.impulsive else most
+        is_at_limit = abs(torque) - limit > -at.within * size
     elif _is_held(system, regime, functional):
         return 0.0
     else:
         way = 1.0 if state == SLIPS_FORWARD else -1.0
         speeds_up, size = derivative(at, regime, functional, 1)
         beyond = -way * speeds_up
-        is_at_limit = beyond > -WITHIN * size
-    if beyond > WITHIN * size:
+        is_at_limit = beyond > -at.within * size
+    if beyond > at.within * size:
         return beyond / size
     if not is_at_limit:
         return 0.0
     onwards, _ = derivative(at, regime, functional, order)
-    return WITHIN if way * onwards < 0.0 else 0.0
+    return at.within if way * onwards < 0.0 else 0.0
 
 
 @part

@@ -6,7 +6,7 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray, Records
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import System, gap_input, roll
+from clunk.core.regimes import System, roll
 from clunk.core.sequence import take_event
 from clunk.core.sums import copy
 from clunk.core.tables import TORQUE, TORQUE_RATE
@@ -36,7 +36,6 @@ class Log(NamedTuple):
     # end of the phase that follows; before the first one inf and -inf, beyond which nothing is  [rad/s2]
     extremes: FloatArray
     courses: Records  # (L,) sequence.COURSE
-    margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.margins; NaN by rk4
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
 
 
@@ -47,6 +46,7 @@ class Moment(NamedTuple):
     time: float  # s after the load step
     x: FloatArray  # (N,)  [rad, rad/s]
     inputs: FloatArray  # (I,)  d; the twists at which frictions begin to stick are written there
+    within: float  # share of its terms that counts as zero of what rests, see `rubbing.tolerance_after`
 
 
 class Entry(NamedTuple):
@@ -83,18 +83,11 @@ def end_of_piece(system: System, load: FloatArray, piece: int) -> float:
 
 
 @inlined_part
-def set_gaps(system: System, before: FloatArray, inputs: FloatArray) -> None:
-    """Set the half gaps, in the inputs d of a run, to those before the load step."""
-    for lash in range(system.lash_count):
-        inputs[gap_input(lash)] = before[gap_input(lash)]
-
-
-@inlined_part
 def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs: FloatArray) -> None:
     """Set the torque and its rate of change, in the inputs d of a run, to those of a piece at a time."""
     row = load[piece]
     inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL], 0.0
-    if system.ramps != 0:
+    if system.ramps:
         inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL] + row[SLOPE] * (time - row[BEGIN]), row[SLOPE]
 
 
@@ -104,8 +97,18 @@ def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> N
     size = 2 * system.inertias
     if x.size > size:
         x[size], x[size + 1] = load[piece, WAVE], load[piece, WAVE_PARTNER]
-        if system.ramps == 0:
+        if not system.ramps:
             x[size + 1] += load[piece, SLOPE]
+
+
+@inlined_part
+def go_on(system: System, load: FloatArray, piece: int, time: float, x: FloatArray, inputs: FloatArray) -> int:
+    """Set wave, torque and its rate of change to those of the piece that holds from a time on, which is returned."""
+    before, piece = piece, piece_at(load, piece, time)
+    if piece != before:
+        begin_wave(system, load, piece, x)
+    set_torque(system, load, piece, time, inputs)
+    return piece
 
 
 @inlined_part
@@ -131,7 +134,7 @@ def begin_windows(log: Log, k: int) -> None:
         window = log.extremes[k, lash]
         if k == 0:
             window[0], window[1] = np.inf, -np.inf
-        elif event.primary != 0 and event.lash == lash:  # its window is empty: anything counts
+        elif event.primary and event.lash == lash:  # its window is empty: anything counts
             window[0], window[1] = -np.inf, np.inf
         else:
             copy(log.extremes[k - 1, lash], window)

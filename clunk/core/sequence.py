@@ -25,6 +25,7 @@ COURSE = np.dtype(  # what the flanks of one lash have done so far in a run
         ("contact_began", "f8"),  # s, of the last contact; -inf of the preloaded one
         ("static", "f8"),  # by exact: the overlap of its flanks at rest, rad, or the torque between rigid ones
         ("fastest", "f8"),  # rad/s, of the touches of rigid flanks
+        ("least", "f8"),  # the margin of the run, see clunk.core.exact.margins; NaN by rk4
         ("margin", "f8"),  # of the last touch of rigid flanks, which counts if the next one is of the same flank
     ],
     align=True,

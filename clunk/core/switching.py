@@ -10,15 +10,10 @@ from clunk.core.arrays import FloatArray
 from clunk.core.events import INSTANT, LOAD_STEP, STAGE, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
-from clunk.core.regimes import (
-    System,
-    guard_of,
-    lash_of,
-    speed_of,
-    turn_back,
-)
-from clunk.core.runs import Entry, Log, Moment, Start, begin_wave, record, set_gaps, set_torque
+from clunk.core.regimes import System, guard_of, lash_of, speed_of, turn_back
+from clunk.core.runs import Entry, Log, Moment, Start, go_on, record
 from clunk.core.status import NO_EQUILIBRIUM, NO_INITIAL_FLANK, OK
+from clunk.core.sums import copy
 from clunk.core.tables import BEYOND, OPEN, TORQUE
 
 _FASTEST = 1e7  # rad/s, of a part in steady motion: beside such a speed the digits of twists are lost
@@ -115,23 +110,24 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
 
 
 @inlined_part
-def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log: Log) -> float:
-    """Set state and inputs to those at the load step, and write that; return what the run has rolled by  [rad].
+def begin_run(system: System, start: Start, inputs: FloatArray, log: Log) -> tuple[int, float]:
+    """Set state and inputs to those at the load step, and write that.
 
-    piece : the one that the load begins with
+    Returns the piece of the load, and what the run has rolled by  [rad].
+
     inputs : output; what is no torque, gap or twist of a friction is 1 already
     """
     load, contacts = start.loads[start.load], system.contacts[start.regime]
     for lash in range(system.lash_count):
         course = log.courses[lash]
         course.last_side, course.contact_began, course.from_sticking = contacts[lash].side, -np.inf, 0
-        course.fastest, course.margin = 0.0, np.inf
-    set_gaps(system, start.before, inputs)
+        course.fastest, course.margin, course.least = 0.0, np.inf, np.nan
+    copy(start.before, inputs)
     rubbing.stick_all(system, start.x, inputs)
-    begin_wave(system, load, piece, start.x)
-    set_torque(system, load, piece, 0.0, inputs)
-    record(Moment(system, 0.0, start.x, inputs), log, 0, 0.0, LOAD_STEP, start.regime, -1, contacts[0].side)
-    return turn_back(system, start.x)
+    piece = go_on(system, load, -1, 0.0, start.x, inputs)  # none before it
+    at = Moment(system, 0.0, start.x, inputs, rubbing.WITHIN)
+    record(at, log, 0, 0.0, LOAD_STEP, start.regime, -1, contacts[0].side)
+    return piece, turn_back(system, start.x)
 
 
 @inlined_part
@@ -171,7 +167,7 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
         return entry
     lash = lash_of(system, regime, guard)
     speed = speed_of(system, lash, at.x)
-    if system.impulsive != 0:
+    if system.impulsive:
         if row.event_kind == TOUCH:
             return rigid.strike(at, log, regime, guard, speed, count)
         return rigid.enter_chosen(at, log, regime, guard, 0, count)
@@ -185,9 +181,9 @@ def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
 
     State and inputs may change, and events be written, as at a switch.
     """
-    if at.system.friction_count == 0:
+    if not at.system.friction_count:
         return entry
-    if at.system.impulsive == 0 and rubbing.fits(at, entry.regime, entry.regime, 0):
+    if not at.system.impulsive and rubbing.fits(at, entry.regime, entry.regime, 0):
         return entry
     settled = rigid.enter_chosen(at, log, entry.regime, -1, 0, entry.written)
     if entry.zero_guard < 0:

@@ -10,14 +10,7 @@ from clunk.core.channels import Channels
 from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
-from clunk.core.exact.workspace import (
-    UNDER_WAY,
-    Workspace,
-    log_of,
-    system_at,
-    system_of,
-    workspace_of,
-)
+from clunk.core.exact.workspace import UNDER_WAY, Workspace, log_of, system_at, system_of, workspace_of
 from clunk.core.jit import compiled, part
 from clunk.core.references import refer
 from clunk.core.regimes import System, driveline_at
@@ -148,7 +141,6 @@ def run_tile(
             np.empty(capacity, EVENT),
             np.empty((capacity, lashes, 2)),
             np.empty(lashes, COURSE),
-            np.empty(lashes),
             np.empty((states, size)),
         )
         room = make_room(system, tables)
@@ -186,10 +178,9 @@ def by_rk4(
     for k in range(first, cells.shape[0]):
         if stop[0] != 0 or written + max_events > output.impacts.size:
             return k, written
-        regime = _begin(system, cases, k, cells[k], x)
+        start = _begin(system, cases, k, cells[k], x)
         if cells[k, 0].status != OK:
             continue
-        start = Start(x, regime, cases.before[k], cases.loads, k % cases.loads.shape[0])
         outcome = rk4.run(system, steps, start, log, room, stop)
         if outcome.status == INTERRUPTED:
             return k, written
@@ -228,13 +219,12 @@ def by_exact(
     while True:
         while spare > 0 and admitted < cells.shape[0] and not full:
             driveline = cases.drivelines[admitted % cases.drivelines.size]
-            regime = _begin(system_at(space, driveline), cases, admitted, cells[admitted], x)
+            start = _begin(system_at(space, driveline), cases, admitted, cells[admitted], x)
             if cells[admitted, 0].status == OK:
                 spare -= 1
                 slot = free[spare]
                 space.runs[slot].tag = admitted
-                load = admitted % cases.loads.shape[0]
-                exact.begin(space, slot, driveline, Start(x, regime, cases.before[admitted], cases.loads, load))
+                exact.begin(space, slot, driveline, start)
             else:
                 begins[admitted - first] = written
             admitted += 1
@@ -264,8 +254,8 @@ def by_exact(
 
 
 @part
-def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) -> int:
-    """Set cell k's state at the load step, and its status, which tells whether it can be run; return the regime."""
+def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) -> Start:
+    """Set cell k's state at the load step, and its status, which tells whether it can be run; return its beginning."""
     status, regime = system.status, 0
     if cases.regimes.size > 0:
         status, regime = OK, cases.regimes[k]
@@ -278,7 +268,7 @@ def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) 
         cell.touches = 0
         cell.initial_side = system.contacts[regime, lash].side if status == OK else 0
         cell.status = status
-    return regime
+    return Start(x, regime, cases.before[k], cases.loads, k % cases.loads.shape[0])
 
 
 @part
@@ -314,12 +304,12 @@ def _finish(
     status = EVENT_BUFFER_FULL if outcome.status == OK and count > max_events else outcome.status
     for lash in range(system.lash_count):
         cells[lash].status = status
-        nearest = min(nearest, abs(log.margins[lash]))
+        nearest = min(nearest, abs(log.courses[lash].least))
     if status != OK:
         return 0
     for lash in range(system.lash_count):
         cell, events, severities, speeds = cells[lash], log.events, 0.0, 0.0  # sums of squares
-        cell.margin = log.margins[lash]
+        cell.margin = log.courses[lash].least
         cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)
         side, count, pattern = cell.initial_side, 0, np.uint64(1)
         for i in range(1, outcome.written):

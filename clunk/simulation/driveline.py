@@ -5,13 +5,13 @@ M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing a lash adds a spring
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 
 from clunk.core import tables
 from clunk.core.arrays import ComplexArray, FloatArray
-from clunk.core.batches import alike
+from clunk.core.batches import UnlikeError, alike
 from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.reductions import chain, constrained, locked, product
 from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, driveline_at, rolling_apart
@@ -195,7 +195,7 @@ class Driveline:
         rigid = closed & (self.contact_stiffnesses == 0.0)
         ties = constrained(self.lashes, rigid)
         damping, stiffness = self.matrices(closed=closed)
-        rates = locked(chain(self.inertia, damping, stiffness), self.inertia, self.lashes, rigid)
+        rates = locked(chain(self.inertia, damping, stiffness), self.inertia, ties.expand)
         every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
         order, springs = np.argsort(np.abs(every)), np.concatenate([stiffness, self.lashes[rigid]])
         # what no spring holds does not come back, and what no damper holds either keeps its speed: found to half the
@@ -238,7 +238,7 @@ def explained(study: Study, status: Status) -> str:
                 f"carry nothing; give it {key}.damping instead of {key}.friction"
             )
     if driveline.rigid_motion.shape.shape[1] <= 1:
-        if not driveline.staged:
+        if all(shaft.stiffness.all() for _, shaft in driveline.staged):
             return (
                 "no steady motion before the load step: so little resists it that a part would turn faster than 10⁷ "
                 "rad/s; give a bearing more damping"
@@ -321,6 +321,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     n, inertia = driveline.inertia.shape[-1], np.atleast_2d(driveline.inertia)
     rubbing, chains = [friction.twist[..., None, :] for friction, _ in driveline.frictions], []
     twists = np.concatenate([driveline.lashes, *rubbing], axis=-2)
+    ties_of = cache(partial(constrained, twists))  # the same in all stages
     for flow, of_flow in _chains(study, driveline).items():
         (closed, stages, stuck), inertias, matrices = flow, inertia, of_flow
         line = driveline.in_stages(stages)
@@ -329,7 +330,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
         else:
             tied = twists[..., np.array([*closed, *stuck]) > 0, :]
             parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
-        ties = constrained(twists, [*(system.impulsive * lash for lash in closed), *stuck])
+        ties = ties_of((*(system.impulsive * lash for lash in closed), *stuck))
         left = ties.expand.shape[-1] // 2
         if left < n:  # each row of the basis has one entry at most: its inertias stay diagonal
             basis, parts = ties.expand[..., :n, :left], ties.pick[..., :left, :n] @ parts
@@ -348,7 +349,26 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     )
     if system.drift.size:
         system, chains = _rolling_apart(system, chains)
-    return build_flows(system, chains, held)
+    return _build_each_once(system, chains, held, inertia)
+
+
+def _build_each_once(system: System, chains: list[Chain], held: list[int], inertia: FloatArray) -> Flows:
+    """Tables of a batch, of drivelines that differ in torques or restitution only, which are in no flow, made once."""
+    count = len(inertia)
+    numbers = [inertia, system.end_time, *system[:4]]  # of which all tables are made
+    rows = np.concatenate([array.reshape(count, -1) for array in numbers], axis=1)
+    _, first, each = np.unique(rows.view(f"V{rows[0].nbytes}").ravel(), return_index=True, return_inverse=True)
+    if first.size == count:
+        return build_flows(system, chains, held)
+    chains = [
+        Chain(chain.inertia[first], *(array[first] if array.ndim > 2 else array for array in chain[1:]))
+        for chain in chains
+    ]
+    try:
+        tables = build_flows(driveline_at(system, first), chains, held)
+    except UnlikeError as unlike:
+        raise UnlikeError([np.flatnonzero(np.isin(each, some)) for some in unlike.parts]) from None
+    return Flows._make(table[each] for table in tables)
 
 
 def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Chain]]:

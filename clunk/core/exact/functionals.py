@@ -22,12 +22,12 @@ def gather(space: Workspace, table: FloatArray, first: int, count: int, to: Floa
     table : (D, …) float64
     to : (count or more, W) float64
     """
-    numbers = table.size // table.shape[0]  # of a driveline
+    numbers, places = table.size // table.shape[0], space.pool.places
     for lane in range(WIDTH):
-        space.offsets[lane] = space.drivelines[lane] * numbers + first
+        places[lane] = space.drivelines[lane] * numbers + first
     for row in range(0, count, ROW):
         at = min(row, count - ROW)  # nothing is read behind the table's end
-        vectors.gather(table, space.offsets, at, to, at)
+        vectors.gather(table, places, at, to, at)
 
 
 @part

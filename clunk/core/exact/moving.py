@@ -6,6 +6,7 @@ from clunk.core.exact.flows import CROSS, PAIRS, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
+from clunk.core.lanes.pool import put_back
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 
 
@@ -37,7 +38,7 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
 @inlined_part
 def to_states(space: Workspace, flow: int, mask: int) -> None:
     """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
-    flows, size = space.flows, space.behind
+    flows = space.flows
     if space.mixed != 0:
         count, origins = flows.basis[0, 0].size, flows.origin[0, 0].size
         functionals.gather(space, flows.origin, flow * origins, origins, space.lane_state_origins)
@@ -45,11 +46,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
         _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
         _to_states(space, flows.origin[0, flow], flows.basis[0, flow])
-    unused = space.state.shape[0] - 1
-    for lane in range(WIDTH):
-        space.offsets[lane] = (space.pool.items[lane] if (mask >> lane) & 1 else unused) * size
-    for row in range(0, size, ROW):
-        vectors.scatter(space.state, space.offsets, row, space.moved, row)
+    put_back(space.pool, space.moved, space.state, space.behind, mask)
 
 
 @part
@@ -68,7 +65,7 @@ def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
 @inlined_part
 def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> None:
     """Move each of the items taken by the span of the ladder with number k, or if `short` by a part of the shortest."""
-    size, flows, table = space.behind, space.flows, space.flows.propagator
+    size, flows, table, places = space.behind, space.flows, space.flows.propagator, space.pool.places
     if short and flows.modal[0, flow] == 0:
         functionals.gather(space, flows.generator, flow * size * size, size * size, space.lane_table)
         move_together(space.lane_table, part, space.pool.work, size, space.moved)
@@ -77,9 +74,9 @@ def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> N
     vectors.store(space.notes, 0, vectors.splat(float(spans)) if short else k)
     for lane in range(WIDTH):
         first = (space.drivelines[lane] * table.shape[1] + flow) * table.shape[2]
-        space.offsets[lane] = (first + int(space.notes[0, lane])) * 2 * size
+        places[lane] = (first + int(space.notes[0, lane])) * 2 * size
     for row in range(0, 2 * size, ROW):
-        vectors.gather(table, space.offsets, row, space.moved, row)
+        vectors.gather(table, places, row, space.moved, row)
     move_modes(space.moved, short, part, space.pool.work, size)
 
 

@@ -31,14 +31,14 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import gap_input, roll, turn_back
+from clunk.core.rubbing import WITHIN, tolerance_after
 from clunk.core.runs import (
     Entry,
     Moment,
     Start,
-    begin_wave,
     begin_windows,
     end_of_piece,
-    piece_at,
+    go_on,
     roll_states,
     set_torque,
 )
@@ -52,14 +52,14 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     """Put a run of a driveline into an empty place of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
     row.driveline, row.status, row.quality, row.stages, row.searches = driveline, OK, 0, 0, 0
-    row.load, row.piece, row.ended = start.load, piece_at(start.loads[start.load], 0, 0.0), rows.GOES_ON
-    row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
+    row.load, row.ended = start.load, rows.GOES_ON
+    row.piece, row.rolled = begin_run(system, start, space.inputs[slot], log_of(space, slot))
     for lash in range(system.lash_count):
-        own = space.numbers[slot, lash_at(space, lash) :]
-        own[rows.MARGIN], own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = MOST, np.inf, -np.inf
+        space.numbers[slot, lash_at(space, lash) + rows.MARGIN] = MOST
     row.last = 0.0
+    _open_windows(space, slot, 0)
     set_static(space, slot, start)
-    _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
+    _enter(space, slot, 0.0, start.x, Entry(1, start.regime, -1, 0))
 
 
 @inlined_part
@@ -71,16 +71,13 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, load, before = space.numbers[slot, space.behind :], space.loads[row.load], row.piece
-    row.piece = piece_at(load, before, time)
-    if row.piece != before:
-        begin_wave(system, load, row.piece, x)
-    set_torque(system, load, row.piece, time, inputs)
+    row.piece = go_on(system, load, before, time, x, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     is_chosen = row.ended == rows.BY_EVENT and system.guards[row.regime, row.guard].successor < 0
     if system.friction_count > 0 and not (is_chosen and row.piece == before):
         row.count = entry.written
-        entry = recheck_frictions(Moment(system, time, x, inputs), log_of(space, slot), entry)
+        entry = recheck_frictions(Moment(system, time, x, inputs, WITHIN), log_of(space, slot), entry)
         _take_events(space, slot, row.count, entry.written)
     regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
@@ -97,10 +94,10 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own = space.numbers[slot, lash_at(space, lash) :]
         held_from = course.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
-        own[rows.HELD_FROM] = held_from if contact.closed != 0 else -np.inf
+        own[rows.HELD_FROM] = held_from if contact.closed else -np.inf
         own[rows.SIDE] = -1.0 if mirrored else 1.0
         # of margins: the gap between the flanks, or what is at rest in contact
-        own[rows.SCALE] = 2.0 * inputs[gap_input(lash)] if contact.side == 0 else course.static
+        own[rows.SCALE] = 2.0 * inputs[gap_input(lash)] if not contact.side else course.static
     for n in range(entered.watched):
         numbers[rows.shift(n, system.lash_count)] = weigh(system.offsets[regime, n], inputs)
     push(space.pool, space.queues.enter + entered.group, slot)
@@ -113,26 +110,26 @@ def advance(space: Workspace, stop: StopFlag) -> None:
     Those wait in the queue `over`. A queue has its turns while it fills the lanes, and then the longest one has.
     """
     pool, queues, queue = space.pool, space.queues, space.queues.span
-    while pool.length[queues.over] < WIDTH and stop[0] == 0:
+    while pool.length[queues.over] < WIDTH and not stop[0]:
         if pool.length[queue] < WIDTH:
             for other in range(queues.over):
                 queue = other if pool.length[other] > pool.length[queue] else queue
-            if pool.length[queue] == 0:
+            if not pool.length[queue]:
                 break
         if queue < queues.search:
             count, group = take(pool, queue, space.numbers), queue % space.system.leaders.size
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
-            if space.mixed != 0:
+            if space.mixed:
                 functionals.gather_tables(space, flow, 1)
             if queue >= queues.enter:  # and take the first step at once
                 moving.to_coordinates(space, flow)
-                put_back(pool, space.numbers, space.behind, (1 << count) - 1)
+                put_back(pool, pool.work, space.numbers, space.behind, (1 << count) - 1)
                 short = space.flows.modal[0, flow] == 0
             take_step(space, group, short, count)
         else:
             count = take(pool, queue, space.searches)
             flow, functional = divmod(queue - queues.search, space.flows.watch.shape[2])
-            if space.mixed != 0:
+            if space.mixed:
                 functionals.gather_tables(space, flow, space.searches_each)
             search(space, flow, functional, queue, count)
         for k in range(pool.length[queues.follow]):
@@ -162,7 +159,8 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     """End a phase by an event, or where another piece of the load begins, and enter what follows."""
     system, row = system_of(space, slot), space.runs[slot]
     x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
-    at, log = Moment(system, time, x, space.inputs[slot]), log_of(space, slot)
+    at = Moment(system, time, x, space.inputs[slot], tolerance_after(time - row.time))
+    log = log_of(space, slot)
     if system.first_rolling >= 0:
         first, speeds = system.first_rolling, x[system.inertias :]
         row.rolled += x[first]
@@ -195,10 +193,7 @@ def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
     row, log = space.runs[slot], log_of(space, slot)
     take_margin_of_event(space, slot, at)
     if is_instant(at, row.last):
-        begin_windows(log, row.count - 1)
-        for lash in range(at.system.lash_count):
-            own = space.numbers[slot, lash_at(space, lash) :]
-            copy(log.extremes[row.count - 1, lash], own)  # to WINDOW_MAX and WINDOW_MIN
+        _open_windows(space, slot, row.count - 1)
     entry = switch(at, log, row.regime, row.guard, row.count)
     row.stages += entry.written == row.count  # one that is not written, which takes no room for events
     note_impacts(space, slot, at, entry)
@@ -212,17 +207,26 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     row = space.runs[slot]
     row.status, row.time = status, time
     for lash in range(space.system.lash_count):
-        space.margins[slot, lash] = space.numbers[slot, lash_at(space, lash) + rows.MARGIN]
+        space.courses[slot, lash].least = space.numbers[slot, lash_at(space, lash) + rows.MARGIN]
     _close_phase(space, slot, row.count - 1)
     push(space.pool, space.queues.over, slot)
+
+
+@inlined_part
+def _open_windows(space: Workspace, slot: int, k: int) -> None:
+    """Set the windows of a run to what they are as the phase of event `k` begins, see `runs.begin_windows`."""
+    begin_windows(log_of(space, slot), k)
+    for lash in range(space.system.lash_count):
+        copy(space.extremes[slot, k, lash], space.numbers[slot, lash_at(space, lash) :])  # WINDOW_MAX and WINDOW_MIN
 
 
 @inlined_part
 def _close_phase(space: Workspace, slot: int, k: int) -> None:
     """Write the extremes of the accelerations in a run's windows so far beside event `k`."""
     for lash in range(space.system.lash_count):
-        own = space.numbers[slot, lash_at(space, lash) :]
-        copy(own[:2], space.extremes[slot, k, lash])  # WINDOW_MAX and WINDOW_MIN
+        copy(
+            space.numbers[slot, lash_at(space, lash) :][:2], space.extremes[slot, k, lash]
+        )  # WINDOW_MAX and WINDOW_MIN
 
 
 @inlined_part
@@ -231,9 +235,6 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
     row, log = space.runs[slot], log_of(space, slot)
     roll_states(system_of(space, slot), row.rolled, log, first, written)
     for k in range(first, written):
-        event = log.events[k]
-        row.last = event.time
+        row.last = log.events[k].time
         _close_phase(space, slot, k - 1)
-        if event.primary != 0:  # its window is empty: anything counts
-            own = space.numbers[slot, lash_at(space, event.lash) :]
-            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = -np.inf, np.inf
+        _open_windows(space, slot, k)

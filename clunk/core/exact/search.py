@@ -11,13 +11,7 @@ import numpy as np
 
 from clunk.core.exact import curves, functionals, moving, rows, taylor
 from clunk.core.exact.margins import take_margin_of_guard
-from clunk.core.exact.workspace import (
-    Workspace,
-    field,
-    lash_at,
-    set_field,
-    shortest_span,
-)
+from clunk.core.exact.workspace import Workspace, field, lash_at, set_field, shortest_span
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
@@ -70,7 +64,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
         moving.move(space, flow, not modal, k, vectors.splat(1.0))
         set_field(space, rows.TIME_LEFT, time_left - h)
         set_field(space, rows.PHASE_TIME, elapsed + h)
-    put_back(space.pool, space.searches, space.behind + rows.BY_SIGN, present & ~done)
+    put_back(space.pool, space.pool.work, space.searches, space.behind + rows.BY_SIGN, present & ~done)
     push_all(space.pool, queue, present & ~done)
     lashes = space.system.lash_count
     while done != 0:
@@ -100,16 +94,14 @@ def _longest_empty(known: _Known, shortest: Vector, spans: int) -> tuple[Vector,
 
     Of no spans, without modes, it is the shortest one.
     """
-    h, k, octaves = shortest, vectors.splat(0.0), spans // 4
+    h, k, rungs = shortest, vectors.splat(0.0), spans // 2
     near = ~_is_empty(known, h)
-    while octaves > 0:
-        longer = h * float(1 << octaves)
+    while rungs > 0:  # two an octave
+        longer = h * (float(1 << rungs // 2) if rungs > 1 else 1.5)
         passes = _is_empty(known, longer) & ~near
-        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * octaves, k)
-        octaves //= 2
-    longer = h * 1.5
-    passes = _is_empty(known, longer) & ~near if spans > 0 else 0
-    return vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k), near
+        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + float(rungs), k)
+        rungs //= 2
+    return h, k, near
 
 
 @part

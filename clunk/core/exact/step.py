@@ -19,17 +19,7 @@ from clunk.core.exact import curves, functionals, moving, rows, taylor
 from clunk.core.exact.curves import load_curve
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.margins import label_hangs_on_depth
-from clunk.core.exact.workspace import (
-    GRAZING,
-    OF_SEEN,
-    Workspace,
-    field,
-    field_of,
-    set_field,
-    set_field_of,
-    shortest_span,
-    system_of,
-)
+from clunk.core.exact.workspace import GRAZING, OF_SEEN, Workspace, field, field_of, set_field, shortest_span, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
@@ -112,7 +102,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     if (happened | arrived) != 0:
         moving.to_states(space, flow, happened | arrived)
     changing = rows.of_lash(system.lash_count - 1) + rows.MARGIN
-    put_back(pool, space.numbers, space.behind + changing, advancing)
+    put_back(pool, pool.work, space.numbers, space.behind + changing, advancing)
     if happened != 0:
         searching |= _find_depths(space, regime, event, happened)
 
@@ -164,10 +154,10 @@ def _evaluate(space: Workspace, regime: int, row: int) -> None:
                     zero = _zero_order(space, m) == 1.0
                     vectors.store(space.seen, m * OF_SEEN + row, vectors.choose(zero, 0.0, curve.value))
         if n >= entered.watched:
-            lash, value = n - entered.watched, vectors.load(space.seen, n * OF_SEEN + row)
-            high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
-            set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(high, value))
-            set_field_of(space, rows.WINDOW_MIN, lash, vectors.smaller(low, value))
+            window, value = rows.of_lash(n - entered.watched), vectors.load(space.seen, n * OF_SEEN + row)
+            high, low = window + rows.WINDOW_MAX, window + rows.WINDOW_MIN
+            set_field(space, high, vectors.larger(field(space, high), value))
+            set_field(space, low, vectors.smaller(field(space, low), value))
 
 
 @inlined_part
@@ -263,20 +253,18 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
     blocked : int
         The lanes where not even the shortest span will probably pass.
     """
-    count, octaves = space.system.regimes[regime].guards, space.flows.span.shape[2] // 4
+    count, rungs = space.system.regimes[regime].guards, space.flows.span.shape[2] // 2
     h, k = shortest_span(space, space.system.regimes[regime].flow), vectors.splat(0.0)
     passes = _passes(space, count, h, at_most)
     for n in range(count):  # where a guard is zero with its slope, its series decides
         passes &= (vectors.load(space.seen, n * OF_SEEN + _START) >= 0.0) & ~(_zero_order(space, n) > 1.0)
     blocked = ~passes
-    while octaves > 0:
-        longer = h * float(1 << octaves)
+    while rungs > 0:  # two an octave
+        longer = h * (float(1 << rungs // 2) if rungs > 1 else 1.5)
         passes = _passes(space, count, longer, at_most)
-        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * octaves, k)
-        octaves //= 2
-    longer = h * 1.5
-    passes = _passes(space, count, longer, at_most)
-    return vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k), blocked
+        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + float(rungs), k)
+        rungs //= 2
+    return h, k, blocked
 
 
 @inlined_part

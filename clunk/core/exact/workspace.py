@@ -84,7 +84,6 @@ class Workspace(NamedTuple):
     state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
     events: Records  # (S, capacity) EVENT
     extremes: FloatArray  # (S, capacity, L, 2)
-    margins: FloatArray  # (S, L)  of each run at its end
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
     # scratch of a step
     seen: FloatArray  # ((G + L) OF_SEEN, W)  see clunk.core.exact.step
@@ -92,7 +91,6 @@ class Workspace(NamedTuple):
     amplitudes: FloatArray  # (C/2, W)  of the items that have been taken
     moved: FloatArray  # (2C, W)
     notes: FloatArray  # (OF_A_SEARCH, W)  for what is done for a lane alone
-    offsets: IntArray  # (W,)
     shortest: FloatArray  # (K, W)  the shortest span of each flow
     drivelines: IntArray  # (W,)  of the items that have been taken, if they are mixed
     # what is read of these drivelines' tables, gathered by `functionals`: a column for each lane
@@ -160,14 +158,12 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
         state=aligned(slots + 1, size),
         events=np.empty((slots, capacity), EVENT),
         extremes=np.empty((slots, capacity, lashes, 2)),
-        margins=np.empty((slots, lashes)),
         states=np.empty((slots, states, system.lashes.shape[1])),
         seen=aligned((most + lashes) * OF_SEEN),
         series=aligned(TERMS + 1),
         amplitudes=aligned(size // 2),
         moved=aligned(2 * size),
         notes=aligned(rows.OF_A_SEARCH),
-        offsets=np.zeros(WIDTH, np.int64),
         shortest=shortest,
         drivelines=np.zeros(WIDTH, np.int64),
         lane_watch=aligned(flows.watch[0, 0].size * mixed),
@@ -218,12 +214,6 @@ def field_of(space: Workspace, name: int, lash: int) -> Vector:
 
 
 @inlined_part
-def set_field_of(space: Workspace, name: int, lash: int, values: Vector) -> None:
-    """Set one number of a lash of each of the items that have been taken."""
-    set_field(space, rows.of_lash(lash) + name, values)
-
-
-@inlined_part
 def lash_at(space: Workspace, lash: int) -> int:
     """Position in a run's row of the first number of a lash; `rows` names them."""
     return space.behind + rows.of_lash(lash)
@@ -232,4 +222,4 @@ def lash_at(space: Workspace, lash: int) -> int:
 @inlined_part
 def log_of(space: Workspace, slot: int) -> Log:
     """The events of a run, and its states."""
-    return Log(space.events[slot], space.extremes[slot], space.courses[slot], space.margins[slot], space.states[slot])
+    return Log(space.events[slot], space.extremes[slot], space.courses[slot], space.states[slot])

@@ -73,10 +73,10 @@ def take(pool: Pool, queue: int, array: FloatArray) -> int:
 
 
 @part
-def put_back(pool: Pool, array: FloatArray, count: int, mask: int) -> None:
-    """Write the first `count` numbers of those of the items taken whose lanes are in a mask."""
-    unused = (array.shape[0] - 1) * array.shape[1]
+def put_back(pool: Pool, rows: FloatArray, array: FloatArray, count: int, mask: int) -> None:
+    """Write the first `count` rows of lanes to those of the items taken whose lanes are in a mask."""
+    unused, length = array.shape
     for lane in range(WIDTH):
-        pool.places[lane] = pool.places[lane] if (mask >> lane) & 1 else unused
+        pool.places[lane] = (pool.items[lane] if mask >> lane & 1 else unused - 1) * length
     for row in range(0, count, ROW):
-        vectors.scatter(array, pool.places, row, pool.work, row)
+        vectors.scatter(array, pool.places, row, rows, row)

@@ -55,7 +55,11 @@ class LanesType(types.Type):
 
 
 _LANES = LanesType("Vector")
-register_model(LanesType)(lambda manager, of: models.PrimitiveModel(manager, of, _ROW))  # type: ignore[no-untyped-call]
+register_model(LanesType)(lambda manager, of: models.PrimitiveModel(manager, of, _ROW))
+
+
+def _index(*lanes: int) -> ir.Constant:
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
 
 
 def _operation(code: Callable[..., Any]) -> Any:
@@ -63,31 +67,27 @@ def _operation(code: Callable[..., Any]) -> Any:
     return intrinsic(code)
 
 
-def _index(*lanes: int) -> ir.Constant:
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
-
-
-def _splat(builder: Any, x: Any) -> Any:
+def _splat(builder, x):
     return builder.shuffle_vector(builder.insert_element(_ANY, x, ir.IntType(32)(0)), _ANY, _index(*[0] * WIDTH))
 
 
-def _at(context: Any, builder: Any, array: Any, value: Any, first: Any, shape: Any = _ROW) -> Any:
+def _at(context, builder, array, value, first, shape=_ROW):
     """A pointer into an array, to as many numbers as its shape has."""
     data = context.make_array(array)(context, builder, value).data
     return builder.bitcast(builder.gep(data, [first]), shape.as_pointer())
 
 
-def _loaded(builder: Any, pointer: Any) -> Any:
+def _loaded(builder, pointer):
     lanes = builder.load(pointer)
     lanes.align = 8
     return lanes
 
 
 @_operation
-def load(typing: Any, array: Any, row: Any) -> Any:
+def load(typing, array, row):
     """A row of an array."""
 
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def emit(context, builder, signature, values):
         first = builder.mul(values[1], _INT(WIDTH))
         return _loaded(builder, _at(context, builder, signature.args[0], values[0], first))
 
@@ -95,12 +95,12 @@ def load(typing: Any, array: Any, row: Any) -> Any:
 
 
 @_operation
-def number(typing: Any, table: Any, k: Any) -> Any:
+def number(typing, table, k):
     """Element k of a table: a float of an array, and lanes of `OfLanes`; k not negative."""
 
     has_lanes = isinstance(table, types.BaseNamedTuple)
 
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def emit(context, builder, signature, values):
         if has_lanes:
             first, rows = builder.mul(values[1], _INT(WIDTH)), builder.extract_value(values[0], 0)
             return _loaded(builder, _at(context, builder, table[0], rows, first))
@@ -110,12 +110,12 @@ def number(typing: Any, table: Any, k: Any) -> Any:
 
 
 @_operation
-def store(typing: Any, array: Any, row: Any, lanes: Any) -> Any:
+def store(typing, array, row, lanes):
     """Write a row of an array, or several lanes to as many rows from that one on."""
 
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def emit(context, builder, signature, values):
         first = builder.mul(values[1], _INT(WIDTH))
-        of_rows = [values[2]] if lanes == _LANES else cgutils.unpack_tuple(builder, values[2])  # type: ignore[no-untyped-call]
+        of_rows = [values[2]] if lanes == _LANES else cgutils.unpack_tuple(builder, values[2])
         for k, of_row in enumerate(of_rows):
             at = builder.add(first, _INT(k * WIDTH))
             builder.store(of_row, _at(context, builder, signature.args[0], values[0], at)).align = 8
@@ -125,54 +125,54 @@ def store(typing: Any, array: Any, row: Any, lanes: Any) -> Any:
 
 
 @_operation
-def splat(typing: Any, x: Any) -> Any:
+def splat(typing, x):
     """The same number in all lanes."""
     return _LANES(types.float64), lambda context, builder, signature, values: _splat(builder, values[0])
 
 
-def _by_llvm(name: str, sides: tuple[Any, ...]) -> Any:
+def _by_llvm(name: str, sides: tuple[Any, ...]):
     """An operation on rows of lanes that LLVM has; numbers stand for the same in all lanes."""
 
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def emit(context, builder, signature, values):
         lanes = [_as_lanes(builder, *side) for side in zip(signature.args, values, strict=True)]
         signature_of, full = ir.FunctionType(_ROW, [_ROW] * len(lanes)), f"llvm.{name}.v{WIDTH}f64"
-        return builder.call(cgutils.get_or_insert_function(builder.module, signature_of, full), lanes)  # type: ignore[no-untyped-call]
+        return builder.call(cgutils.get_or_insert_function(builder.module, signature_of, full), lanes)
 
     return _LANES(*sides), emit
 
 
 @_operation
-def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
+def fused(typing, a, b, c):
     """a b + c, rounded once."""
     return _by_llvm("fma", (a, b, c))
 
 
 @_operation
-def root(typing: Any, a: Any) -> Any:
+def root(typing, a):
     """Square roots."""
     return _by_llvm("sqrt", (a,))
 
 
 @_operation
-def magnitude(typing: Any, a: Any) -> Any:
+def magnitude(typing, a):
     """Absolute values."""
     return _by_llvm("fabs", (a,))
 
 
-def _as_lanes(builder: Any, type_: Any, value: Any) -> Any:
+def _as_lanes(builder, type_, value):
     return value if type_ == _LANES else _splat(builder, value)
 
 
-def _binary(operations: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
+def _binary(operations: tuple[Any, ...], result, emit: Callable[..., Any]) -> None:
     """Give lanes an operator, by all its names."""
 
-    def typed(context: Any) -> Any:
-        def types_of(a: Any, b: Any) -> Any:
+    def typed(context):
+        def types_of(a, b):
             return result if _LANES in (a, b) and {a, b} <= {_LANES, types.float64} else None
 
         return types_of
 
-    def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def lower(context, builder, signature, values):
         return emit(
             builder, *(_as_lanes(builder, type_, value) for type_, value in zip(signature.args, values, strict=True))
         )
@@ -180,10 +180,10 @@ def _binary(operations: tuple[Any, ...], result: Any, emit: Callable[..., Any]) 
     for operation in operations:
         type_callable(operation)(typed)
         for pair in ((_LANES, _LANES), (_LANES, types.float64), (types.float64, _LANES)):
-            lower_builtin(operation, *pair)(lower)  # type: ignore[no-untyped-call]
+            lower_builtin(operation, *pair)(lower)
 
 
-def _bits(builder: Any, mask: Any) -> Any:
+def _bits(builder, mask):
     return builder.zext(builder.bitcast(mask, ir.IntType(WIDTH)), _INT)
 
 
@@ -206,15 +206,15 @@ for _sign, _operator in (
 
 
 @overload(operator.neg, strict=False)  # types are told of the one, and not of the other
-def _negated(a: Any) -> Any:
+def _negated(a):
     return (lambda a: a * -1.0) if a == _LANES else None
 
 
 @_operation
-def choose(typing: Any, bits: Any, a: Any, b: Any) -> Any:
+def choose(typing, bits, a, b):
     """The lanes of a whose bits are set, and those of b elsewhere; both may be numbers."""
 
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def emit(context, builder, signature, values):
         mask = builder.bitcast(builder.trunc(values[0], ir.IntType(WIDTH)), ir.VectorType(ir.IntType(1), WIDTH))
         sides = (_as_lanes(builder, *side) for side in zip(signature.args[1:], values[1:], strict=True))
         return builder.select(mask, *sides)
@@ -223,7 +223,7 @@ def choose(typing: Any, bits: Any, a: Any, b: Any) -> Any:
 
 
 @_operation
-def first_of(typing: Any, bits: Any) -> Any:
+def first_of(typing, bits):
     """The number of the lowest bit that is set; 64 for none."""
     return types.int64(types.int64), lambda context, builder, signature, values: builder.cttz(
         values[0], ir.IntType(1)(0)
@@ -242,7 +242,7 @@ def smaller(a: Vector, b: Vector) -> Vector:
     return choose(a < b, a, b)
 
 
-def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
+def _transposed(builder, rows: list[Any]) -> list[Any]:
     """The columns of ROW rows of ROW: swapped within pairs, then between pairs, then between fours."""
     for step in (1, 2, 4):
         mixed = list(rows)
@@ -258,11 +258,11 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
     return rows
 
 
-def _transfer(gathers: bool) -> Any:
+def _transfer(gathers: bool):
     """The operation that copies numbers of runs into the lanes of rows, or back."""
 
-    def operation(typing: Any, array: Any, offsets: Any, first: Any, rows: Any, row: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def operation(typing, array, offsets, first, rows, row):
+        def emit(context, builder, signature, values):
             integers = context.make_array(offsets)(context, builder, values[1]).data
             for begin in range(0, WIDTH, ROW):
                 places, lanes = [], []

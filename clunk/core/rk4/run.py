@@ -20,20 +20,8 @@ from clunk.core.regimes import System, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, IN_PLACE, STEP, STRIDE, STRIDES, Steps
 from clunk.core.rk4.step import Room, enter, expand, finish, first_event, widen_extremes
-from clunk.core.runs import (
-    BEGIN,
-    Entry,
-    Log,
-    Moment,
-    Outcome,
-    Start,
-    begin_wave,
-    begin_windows,
-    end_of_piece,
-    piece_at,
-    roll_states,
-    set_torque,
-)
+from clunk.core.rubbing import WITHIN, tolerance_after
+from clunk.core.runs import BEGIN, Entry, Log, Moment, Outcome, Start, begin_windows, end_of_piece, go_on, roll_states
 from clunk.core.status import EVENT_BUFFER_FULL, INTERRUPTED, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import combine, copy, weigh
 from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch
@@ -71,17 +59,17 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         Set to non-zero from another thread to abandon the run.
     """
     x, inputs, load = start.x, room.inputs, start.loads[start.load]
-    inputs[:], log.margins[:] = 1.0, np.nan
+    inputs[:] = 1.0
     room.z[:] = 0.0  # a run before may have left what is not a number where nothing is written
     entry = Entry(1, start.regime, -1, 0)
-    piece, written = piece_at(load, 0, 0.0), entry.written
-    rolled = begin_run(system, start, piece, inputs, log)
+    begin, written = 0.0, entry.written
+    piece, rolled = begin_run(system, start, inputs, log)
     begin_windows(log, 0)
-    begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
+    grid = _grid_of(system, steps, load, piece)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         time = begin + index * grid.step + offset
-        entry = recheck_frictions(Moment(system, time, x, inputs), log, entry)
+        entry = recheck_frictions(Moment(system, time, x, inputs, WITHIN), log, entry)
         roll_states(system, rolled, log, written, entry.written)
         for k in range(written, entry.written):
             begin_windows(log, k)
@@ -114,7 +102,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 rolled += turn_back(system, room.z)
                 index += taken
                 clear = taken == budget
-                if stop[0] != 0:
+                if stop[0]:
                     return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
                     over = _is_settled(system, steps, entry.regime, room, extremes)
@@ -125,21 +113,20 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 end = end_of_piece(system, load, piece)
                 if end == system.end_time[0]:
                     return Outcome(OK, entry.written, 0, end)
-                piece = piece_at(load, piece + 1, end)
-                begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
-                index, offset = 0, 0.0
+                piece = go_on(system, load, piece, end, x, inputs)
+                begin, index, offset, grid = end, 0, 0.0, _grid_of(system, steps, load, piece)
                 break
         written = entry.written
         rigid.keep_locked(system, entry.regime, x, inputs)
         if guard < 0:  # another piece of the load
-            at = Moment(system, begin, x, inputs)
+            at = Moment(system, begin, x, inputs, WITHIN)
             if system.friction_count > 0 and not may_switch(at, log, written, stages):
                 return Outcome(EVENT_BUFFER_FULL, written, 0, begin)
             entry = Entry(written, entry.regime, -1, 0)
             continue
 
-        time = begin + index * grid.step + offset
-        at = Moment(system, time, x, inputs)
+        began, time = time, begin + index * grid.step + offset
+        at = Moment(system, time, x, inputs, tolerance_after(time - began))
         if not may_switch(at, log, written, stages):
             return Outcome(EVENT_BUFFER_FULL, written, 0, time)
         if is_instant(at, log.events[written - 1].time):
@@ -158,7 +145,7 @@ def _is_settled(system: System, steps: Steps, regime: int, room: Room, extremes:
     is proved for whole steps, and within them looked at in eight places.
     """
     flow, reach = system.regimes[regime].flow, room.reach
-    if steps.settles[flow] == 0:
+    if not steps.settles[flow]:
         return False
     reach[:] = 0.0
     _reach(steps.mode_rows[flow], steps.mode_reach[flow], room)
@@ -167,7 +154,7 @@ def _is_settled(system: System, steps: Steps, regime: int, room: Room, extremes:
         at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed)
         if not at_rest + room.shift[guard] > (1.0 + 1e-9) * reach[functional]:
             return False
-    for lash in range(system.lash_count if system.impulsive == 0 else 0):  # else nothing is asked of the acceleration
+    for lash in range(0 if system.impulsive else system.lash_count):  # else nothing is asked of the acceleration
         acceleration = lash * system.functionals_per_lash + ACCELERATION
         at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed)
         swing = (1.0 + 1e-9) * reach[acceleration]
@@ -188,17 +175,12 @@ def _reach(rows: FloatArray, by_mode: FloatArray, room: Room) -> None:
 
 
 @part
-def _begin_piece(
-    system: System, steps: Steps, load: FloatArray, piece: int, x: FloatArray, inputs: FloatArray
-) -> tuple[float, _Grid]:
-    """Set wave and torque to those of a piece; return where it begins, and the time grid until it ends."""
-    begin = load[piece, BEGIN]
-    begin_wave(system, load, piece, x)
-    set_torque(system, load, piece, begin, inputs)
-    length = end_of_piece(system, load, piece) - begin
+def _grid_of(system: System, steps: Steps, load: FloatArray, piece: int) -> _Grid:
+    """The time grid of a piece of the load."""
+    length = end_of_piece(system, load, piece) - load[piece, BEGIN]
     full = int(np.floor(length / steps.step + 1e-9))
     rest = length - full * steps.step
-    return begin, _Grid(steps.step, full, rest, full + 1 if rest > 1e-9 * steps.step else full)
+    return _Grid(steps.step, full, rest, full + 1 if rest > 1e-9 * steps.step else full)
 
 
 @part
@@ -244,7 +226,7 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
     """
     row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
     columns, lashes, taken = steps.transfer.shape[2], system.lash_count, 0
-    next_stride = 0 if steps.strides[row.flow] != 0 else budget  # not before so many steps
+    next_stride = 0 if steps.strides[row.flow] else budget  # not before so many steps
     while taken < budget:
         is_stride = next_stride <= taken <= budget - STRIDE
         if is_stride:
@@ -258,7 +240,7 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
             table = STRIDES if is_stride else STEP
             _advance(steps.transfer[row.flow, table], room.affine[table], z, after)
             clear = _guards_exceed(room, row.guards, columns, after)
-        for lash in range(lashes if clear and (not is_stride or system.impulsive == 0) else 0):
+        for lash in range(lashes if clear and (not is_stride or not system.impulsive) else 0):
             functional = lash * system.functionals_per_lash + ACCELERATION
             at, own = columns + 4 * functional, extremes[lash]
             if max(z[at], after[at]) + sag[functional] > own[0] or min(z[at], after[at]) - sag[functional] < own[1]:
