@@ -179,6 +179,15 @@ def test_a_curve_that_is_not_located_has_no_event(monkeypatch):
     assert {curve.event for curve in found.curves} == {"unknown"}
 
 
+def test_a_line_beside_failed_cells_is_told_to_less_and_not_unresolved():
+    """Without a torque before the load step there is no initial flank: a line of failed runs, of no width."""
+    axes = axis("load.initial_torque", -6.0, 6.0, 5), axis("lash.backlash_deg", 2.0, 6.0, 3)
+    swept = clunk.sweep(study(*axes, of=(EXACT, "load.final_torque=-1")), boundaries=True)
+    assert (swept.status[2] != 0).all()
+    assert not len(swept.boundaries.unresolved)
+    assert swept.boundaries.areas[FAILED] < 2e-3
+
+
 def test_failed_cells_are_a_label_whose_regions_are_filled_and_a_slice_has_no_boundaries():
     axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
     failing = clunk.sweep(study(*axes, of=(EXACT, "solver.max_events=16")), boundaries=True)

@@ -19,7 +19,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from clunk.analysis.search import POINT, TOLERANCE, Points, narrow, with_hidden
+from clunk.analysis.search import OFF_FAILURES, POINT, TOLERANCE, Points, narrow, with_hidden
+from clunk.results.labels import FAILED_CODE
 from clunk.study.arrays import Bools, Codes, Floats, Nodes
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
@@ -422,5 +423,6 @@ class Lines:
         mixed = np.concatenate(self.triangles.mixed())
         # where runs were too few for all crossings, those as near as chords are will do
         far = _LOCATED if self._may_run(_ON_EDGES) else CHORD
-        wide = self.keys[self._widths() > far]
+        fails = (self.runs["outcome"] == FAILED_CODE).any(axis=1)  # told to less, see `narrow`
+        wide = self.keys[self._widths() > np.where(fails, OFF_FAILURES, far)]
         return mixed[np.isin(_edges(mixed), wide).any(axis=1)]

@@ -118,10 +118,11 @@ def regions_of(rings: list[Ring]) -> list[list[Ring]]:
     """Regions: each an outer ring and its holes, by label and falling area."""
     outer = sorted((ring for ring in rings if ring.area > 0.0), key=lambda ring: (ring.label, -ring.area))
     regions = [[ring] for ring in outer]
+    low, high = (np.array([end(ring.vertices, axis=0) for ring in outer]) for end in (np.min, np.max))
     for hole in (ring for ring in rings if ring.area <= 0.0):
-        around = [
-            region for region in regions if region[0].label == hole.label and _contains(region[0], hole.vertices[0])
-        ]
+        place = hole.vertices[0]
+        near = np.flatnonzero(((low <= place) & (place <= high)).all(axis=1))
+        around = [regions[k] for k in near if outer[k].label == hole.label and _contains(outer[k], place)]
         if around:
             min(around, key=lambda region: region[0].area).append(hole)
     return regions

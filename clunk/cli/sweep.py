@@ -98,7 +98,7 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
     traced = job.finish(result, trace)
     if traced is not result and traced.boundaries is not None:
         ((_, numbers),) = traced.boundaries.summary()
-        click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
+        terminal.complain(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s")
         if traced.boundaries.unresolved_sentence:
             terminal.complain(traced.boundaries.unresolved_sentence)
 
