@@ -206,7 +206,7 @@ def narrow(
 
 Word = str | bool | int  # an outcome: a label, whether something holds, or a count
 
-_STEPS = 1_000  # of a run that take as long as a unit of `PointRuns.cost`
+_STEPS = 100  # of a run that take as long as a unit of `PointRuns.cost`
 
 
 def in_halves(run: Callable[[Floats], Array], points: Floats, refused: Array) -> Array:
