@@ -1,7 +1,10 @@
 """The numerical core: a switched linear system, its flow, its events, and what they amount to.
 
 Nothing here knows files, units of the config or people; it imports numpy, numba and its llvmlite only. One load step,
-in reading order: `tables` (elements, and regimes as combinations of their states), `regimes` (the system as data, with
+from preload to label: `tile.run_tile`, `switching.preload` and `begin_run`, a method's `run`, at each event
+`switching.switch` and `runs.record` (is it primary?), `tile._finish` (pattern, Q and V), and `sequence.label`.
+
+In reading order: `tables` (elements, and regimes as combinations of their states), `regimes` (the system as data, with
 `equilibrium`: its steady motion, `reductions`: coordinates of what can move, and `batches`: many at once), `events` and
 `runs` (what a run begins with and leaves behind, and `status`: how it ended), `switching` (preload, and what happens at
 an event), `rigid` (impacts and releases of rigid flanks), `rubbing` (which flanks stay locked and which frictions stick

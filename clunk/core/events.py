@@ -1,4 +1,4 @@
-"""What a run leaves behind: its events in order, each with what followed it.
+"""The events of a run in order, each with the regime that follows it.
 
 Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of each lash's
 acceleration over its window up to the end of that phase are kept beside it, one-sided limits at all events included:

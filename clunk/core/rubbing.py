@@ -1,4 +1,4 @@
-"""What rests at an event, and what follows: Coulomb frictions stick or slip, locked rigid flanks stay so or part.
+"""At an event, the choice of the frictions that stick or slip, and of the rigid flanks that stay locked or part.
 
 Which flanks press depends on what the frictions hold, and what these hold on which flanks are locked. So the states of
 all that rests, which are locked flanks, sticking frictions, and those whose rate of twist is zero, are chosen at once.

@@ -1,4 +1,4 @@
-"""What a run begins with, what it writes as it goes, and how it ended: the same for both methods."""
+"""The beginning of a run, its buffers, the pieces of its load, and its outcome: the same for both methods."""
 
 from typing import NamedTuple
 
@@ -113,7 +113,10 @@ def go_on(system: System, load: FloatArray, piece: int, time: float, x: FloatArr
 
 @inlined_part
 def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, lash: int, side: int) -> None:
-    """Write event `k`, and the state at it; the phase that it opens is still to come."""
+    """Write event `k` and the state at it, and take it into its lash's COURSE, which tells whether it is primary.
+
+    The phase that it opens is still to come.
+    """
     event = log.events[k]
     event.time = at.time
     event.speed = speed

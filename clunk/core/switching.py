@@ -1,4 +1,4 @@
-"""What happens at the beginning of a run and at its events: preload, and switching from one regime to the next.
+"""The preload before the load step, and at each event the switch from one regime to the next.
 
 Detection is not here: whoever flows through a regime says which guard turned negative, and where.
 """

@@ -1,4 +1,4 @@
-"""What is searched for within a step: extremes of the acceleration, the lowest turn of a guard, how deep one would go.
+"""Search within a step: extremes of the acceleration, the lowest turn of a guard, how deep an event's guard would go.
 
 All are turning points, of a functional of sign and shift: the highest above TOP and the lowest below BOTTOM. Located,
 not sampled: a span is passed in which there can be none, since the functional is monotone, or cannot exceed what is
