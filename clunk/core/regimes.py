@@ -298,14 +298,14 @@ def build_system(
     held = [(*(impulsive * closed for closed in flow.closed), *flow.stuck) for flow in every]
 
     @cache
-    def ties_of(held: tuple[int, ...]) -> FloatArray:
-        return constrained(tied, held).expand
+    def ties_of(closed: tuple[int, ...]) -> FloatArray:
+        return constrained(tied, closed).expand
 
     @cache
-    def yielding_of(tie: int, held: tuple[int, ...]) -> FloatArray:
+    def yielding_of(tie: int, closed: tuple[int, ...]) -> FloatArray:
         """(…, 1) the acceleration of a tie by a torque of 1 N m across it, with other constraints."""
         pushed = by_speeds(tied[..., tie, :] / inertia)[..., None]
-        return _across(tied[..., tie, :], locked(pushed, inertia, ties_of(held))[..., speeds, :])
+        return _across(tied[..., tie, :], locked(pushed, inertia, ties_of(closed))[..., speeds, :])
 
     torques = np.zeros((*batch, n, driven))  # on the inertias, in every flow, by each input
     torques[..., TORQUE] = load

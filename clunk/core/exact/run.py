@@ -97,7 +97,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         own[rows.HELD_FROM] = held_from if contact.closed else -np.inf
         own[rows.SIDE] = -1.0 if mirrored else 1.0
         # of margins: the gap between the flanks, or what is at rest in contact
-        own[rows.SCALE] = 2.0 * inputs[gap_input(lash)] if not contact.side else course.static
+        own[rows.SCALE] = course.static if contact.side else 2.0 * inputs[gap_input(lash)]
     for n in range(entered.watched):
         numbers[rows.shift(n, system.lash_count)] = weigh(system.offsets[regime, n], inputs)
     push(space.pool, space.queues.enter + entered.group, slot)
@@ -224,9 +224,8 @@ def _open_windows(space: Workspace, slot: int, k: int) -> None:
 def _close_phase(space: Workspace, slot: int, k: int) -> None:
     """Write the extremes of the accelerations in a run's windows so far beside event `k`."""
     for lash in range(space.system.lash_count):
-        copy(
-            space.numbers[slot, lash_at(space, lash) :][:2], space.extremes[slot, k, lash]
-        )  # WINDOW_MAX and WINDOW_MIN
+        own = space.numbers[slot, lash_at(space, lash) :]
+        copy(own[:2], space.extremes[slot, k, lash])  # WINDOW_MAX and WINDOW_MIN
 
 
 @inlined_part

@@ -58,13 +58,13 @@ _LANES = LanesType("Vector")
 register_model(LanesType)(lambda manager, of: models.PrimitiveModel(manager, of, _ROW))
 
 
-def _index(*lanes: int) -> ir.Constant:
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
-
-
 def _operation(code: Callable[..., Any]) -> Any:
     """Decorate an intrinsic; its first argument, the typing context, is not the caller's."""
     return intrinsic(code)
+
+
+def _index(*lanes: int) -> ir.Constant:
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), list(lanes))
 
 
 def _splat(builder, x):
