@@ -26,7 +26,7 @@ MAPS = {  # name -> config, options of `clunk sweep` beside the exact method, an
     "car, 121 x 156, lines": ("car_tip_out", [], ["regimes"]),
     "car, 121 x 156, cells": ("car_tip_out", ["--no-boundaries"], ["regimes"]),
 }
-QUICK = {"smoke": ("smoke", [], ["regimes", "double_sided_impacts"])}
+QUICK = {"smoke": ("smoke", [], ["regimes"])}
 
 
 def swept(config: str, options: list[str], directory: Path) -> Path:
