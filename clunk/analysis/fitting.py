@@ -274,7 +274,7 @@ def fit(
     with engine_of(None, workers) as engine, reporting(progress, most, plain, what="candidates") as report:
         candidates = Candidates(study, experiment, name, engine, report)
         nominal = [{"factor": 1.0, "offset": 0.0}.get(p.draws, nominal_value(study, p.parameter)) for p in priors]
-        nominal_matches = candidates.run(np.array([nominal]))[0]
+        nominal_matches = candidates.run(np.array([nominal]))
         _search(candidates)
         draws, values, log_density = sample(
             candidates, len(priors), settings.effective_draws, settings.draws, settings.seed
@@ -282,7 +282,11 @@ def fit(
         count = len(candidates.matches)
         if report is not None:
             report(count, count)
-    best = losses(candidates.matches, candidates.wanted, settings).argmin()
+    matches = np.concatenate([nominal_matches, candidates.matches])  # the config is a candidate, if the priors allow it
+    numbers = np.vstack([nominal, candidates.numbers(candidates.coordinates)])
+    lowest, highest = candidates.numbers(np.outer([-np.inf, np.inf], np.ones(len(priors))))
+    is_allowed = ((numbers >= lowest) & (numbers <= highest)).all(axis=1)
+    best = np.where(is_allowed, losses(matches, candidates.wanted, settings), np.inf).argmin()
     return Fitted(
         study=study,
         experiment=experiment,
@@ -291,9 +295,9 @@ def fit(
         points=candidates.points,
         labels=(*candidates.labels, FAILED),
         wanted=candidates.wanted,
-        estimate=candidates.numbers(candidates.coordinates[[best]])[0],
-        estimate_matches=candidates.matches[best],
-        nominal_matches=nominal_matches,
+        estimate=numbers[best],
+        estimate_matches=matches[best],
+        nominal_matches=nominal_matches[0],
         coordinates=draws,
         draws=candidates.numbers(draws),
         matches=candidates.matches[-len(draws) :],

@@ -7,7 +7,6 @@ Importing this raises ImportError where those inner parts are not as expected; `
 """
 
 import contextlib
-from typing import Any
 
 from numba import _dynfunc, types
 from numba.core.caching import FunctionCache
@@ -36,7 +35,7 @@ for _owner, _names in (
 class _Cache(FunctionCache):
     """numba's cache of one function; where it is damaged or cannot be written, that costs a compilation and no more."""
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    def load_overload(self, sig, target_context):
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # whatever it is that reading half a file, or something else in its place, raises
@@ -44,12 +43,12 @@ class _Cache(FunctionCache):
                 self.flush()
             return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
+    def save_overload(self, sig, data) -> None:
         with contextlib.suppress(OSError):
             super().save_overload(sig, data)
 
 
-def kernel(dispatcher: Any) -> Any:
+def kernel(dispatcher):
     """Make a function of `numba.njit` one that is kept between processes, as cache=True does."""
     dispatcher._cache = _Cache(dispatcher.py_func)
     return dispatcher
@@ -66,7 +65,7 @@ class _BeginPart(_Pass):
 
     _name = "clunk_begin_part"
 
-    def run_pass(self, state: Any) -> bool:
+    def run_pass(self, state) -> bool:
         codegen = state.targetctx.codegen()
         state.library = _PartLibrary(codegen, state.func_id.func_qualname)
         state.flags.no_compile = True
@@ -79,7 +78,7 @@ class _EndPart(_Pass):
 
     _name = "clunk_end_part"
 
-    def run_pass(self, state: Any) -> bool:
+    def run_pass(self, state) -> bool:
         lowered = state["cr"]
         entry = _dynfunc.make_function(lowered.fndesc.lookup_module(), "part", "", 0, lowered.env, (state.library,))
         state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
@@ -101,11 +100,11 @@ class _PartLibrary(JITCodeLibrary):
 class _Part(CPUDispatcher):
     """A function that only compiled functions call."""
 
-    def compile(self, signature: Any) -> Any:
+    def compile(self, signature):
         """Compile once for all ints, not again for each constant in a call: that would take an eighth longer."""
         return super().compile(tuple(map(types.unliteral, signature)))
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments):
         """Call the function as Python has it: there is no other code for Python to call."""
         return self.py_func(*arguments)
 
@@ -113,7 +112,7 @@ class _Part(CPUDispatcher):
 class PartCompiler(CompilerBase):
     """numba's compiler, for functions that only compiled functions call."""
 
-    def define_pipelines(self) -> list[Any]:
+    def define_pipelines(self):
         """Numba's own passes, and ours before and after that to machine code."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.add_pass_after(_BeginPart, AnnotateTypes)
@@ -122,7 +121,7 @@ class PartCompiler(CompilerBase):
         return [passes]
 
 
-def with_callers(dispatcher: Any) -> Any:
+def with_callers(dispatcher):
     """Make a function of `numba.njit` with `PartCompiler` one that is compiled with its callers alone."""
     dispatcher.__class__ = _Part
     return dispatcher

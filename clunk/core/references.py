@@ -6,7 +6,7 @@ too. Nothing else differs, but the exact method has a sixth of the code to compi
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 from llvmlite import ir
@@ -23,11 +23,11 @@ Tuple = TypeVar("Tuple")
 class Reference(types.Type):
     """The type of a reference to a named tuple."""
 
-    def __init__(self, of: Any) -> None:
+    def __init__(self, of) -> None:
         self.of = of
         super().__init__(name=f"Reference({of})")
 
-    def field(self, name: str) -> tuple[int, Any]:
+    def field(self, name: str):
         """The position and the type of one of the tuple's fields."""
         index = self.of.fields.index(name)
         return index, tuple(self.of)[index]
@@ -35,7 +35,7 @@ class Reference(types.Type):
 
 @register_model(Reference)
 class _Model(models.PrimitiveModel):
-    def __init__(self, manager: Any, reference: Reference) -> None:
+    def __init__(self, manager, reference: Reference) -> None:
         super().__init__(manager, reference, cgutils.voidptr_t)
 
 
@@ -43,7 +43,7 @@ class _Model(models.PrimitiveModel):
 class _Attributes(AttributeTemplate):
     key = Reference
 
-    def generic_resolve(self, reference: Reference, name: str) -> Any:
+    def generic_resolve(self, reference: Reference, name: str):
         if name not in reference.of.fields:
             return None
         _, field = reference.field(name)
@@ -51,7 +51,7 @@ class _Attributes(AttributeTemplate):
 
 
 @lower_getattr_generic(Reference)
-def _attribute(context: Any, builder: ir.IRBuilder, reference: Reference, pointer: Any, name: str) -> Any:
+def _attribute(context, builder: ir.IRBuilder, reference: Reference, pointer, name: str):
     index, field = reference.field(name)
     values = builder.bitcast(pointer, context.get_value_type(reference.of).as_pointer())
     at = cgutils.gep_inbounds(builder, values, 0, index)
@@ -60,7 +60,7 @@ def _attribute(context: Any, builder: ir.IRBuilder, reference: Reference, pointe
     return impl_ret_borrowed(context, builder, field, _load(builder, at))
 
 
-def _load(builder: ir.IRBuilder, at: Any) -> Any:
+def _load(builder: ir.IRBuilder, at):
     """Load a value part by part, each marked as one that never changes: stores elsewhere leave it in its register."""
     pointee = at.type.pointee
     if isinstance(pointee, (ir.LiteralStructType, ir.ArrayType)):
@@ -73,7 +73,7 @@ def _load(builder: ir.IRBuilder, at: Any) -> Any:
     return value
 
 
-def _refer(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+def _refer(context, builder: ir.IRBuilder, signature, arguments):
     at = builder.bitcast(cgutils.alloca_once_value(builder, arguments[0]), cgutils.voidptr_t)
     # Nothing is known of the pointer that this returns, so that no load is moved to before the values are there.
     opaque = ir.FunctionType(cgutils.voidptr_t, [cgutils.voidptr_t])
@@ -81,15 +81,15 @@ def _refer(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) 
 
 
 @intrinsic
-def _reference(_: Any, values: Any) -> Any:
+def _reference(_, values):
     if isinstance(values, Reference):
         return values(values), lambda context, builder, signature, arguments: arguments[0]
     return Reference(values)(values), _refer
 
 
 @intrinsic
-def _reference_at(_: Any, rows: Any, k: Any, like: Any) -> Any:
-    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+def _reference_at(_, rows, k, like):
+    def emit(context, builder: ir.IRBuilder, signature, arguments):
         array, first = context.make_array(rows)(context, builder, arguments[0]), context.get_constant(types.intp, 0)
         at = cgutils.get_item_pointer(context, builder, rows, array, [arguments[1], first])
         return builder.bitcast(at, cgutils.voidptr_t)
@@ -97,7 +97,7 @@ def _reference_at(_: Any, rows: Any, k: Any, like: Any) -> Any:
     return like(rows, types.intp, like), emit
 
 
-def rows_of(values: Any, each: Any) -> IntArray:
+def rows_of(values, each) -> IntArray:
     """A named tuple of numbers and arrays in the words by which compiled functions know it, D times.
 
     Row k has `each.NAME[k]` in the place of arrays of which `each`, a tuple of the same type, has an axis of D more;

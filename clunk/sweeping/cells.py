@@ -182,8 +182,8 @@ class Grid:
         members: dict[int, _Part] = {}
         unknown = []
         for k, row in enumerate(rows):
-            if row in self._kept:
-                batch, number = self._kept[row]
+            if known := self._kept.get(row):  # other threads clear it meanwhile
+                batch, number = known
                 members.setdefault(id(batch), (batch, np.full(len(rows), -1)))[1][k] = number
             else:
                 unknown.append(k)
