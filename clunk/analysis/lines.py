@@ -54,7 +54,7 @@ def most_runs(cells: int, cost: int) -> int:
 
 def _cost_of(runs: Points) -> int:
     """Number of runs without touches that take as long as some runs."""
-    return runs.size + np.maximum(runs["touches"], 0).sum() // _TOUCHES
+    return runs.size + runs["touches"].sum() // _TOUCHES
 
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:

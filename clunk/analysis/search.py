@@ -100,7 +100,7 @@ def with_hidden(
         cells, middles = points["cell"][between], 0.5 * (points["value"][between] + points["value"][between + 1])
         runs = run(cells, middles)
         runs["cell"], runs["value"] = cells, middles
-        np.add.at(looked, before[between], 1 + np.maximum(runs["touches"], 0) // _TOUCHES_OF_A_RUN)
+        np.add.at(looked, before[between], 1 + runs["touches"] // _TOUCHES_OF_A_RUN)
         points, before = np.insert(points, between + 1, runs), np.insert(before, between + 1, before[between])
     return points, before
 
@@ -275,7 +275,8 @@ class PointRuns:
 
     def _run(self, values: Floats) -> Points:
         results, points = self.runner.run(values, self._tell).of_lash(self._lash), _failed(len(values))
-        points["touches"] = results.touches
+        most = self.runner.study.solver.max_events  # which a run has taken that found no room for more
+        points["touches"] = np.where(results.status == Status.EVENT_BUFFER_FULL, most, results.touches)
         finished = results.status == Status.OK
         words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
         words = words.astype({TEXT: str, YES_NO: bool}.get(self.outcome.type, int))
