@@ -321,8 +321,6 @@ def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(command):
     assert max(map(len, err.splitlines())) <= 80
     _, _, err = command("simulate", ROOT / "configs/nominal.toml")
     assert "warning" not in err
-    _, out, _ = command("modes", ROOT / "configs/nominal.toml")
-    assert "39.5 steps a period" in out
 
 
 def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):

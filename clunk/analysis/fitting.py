@@ -284,7 +284,7 @@ def fit(
             report(count, count)
     matches = np.concatenate([nominal_matches, candidates.matches])  # the config is a candidate, if the priors allow it
     numbers = np.vstack([nominal, candidates.numbers(candidates.coordinates)])
-    ends = candidates.numbers(np.outer([-np.inf, np.inf], np.ones(len(priors))))
+    ends = candidates.numbers(np.outer([-np.inf, np.inf], [1.0] * len(priors)))
     is_allowed = (np.clip(numbers, *ends) == numbers).all(axis=1)
     best = np.where(is_allowed, losses(matches, candidates.wanted, settings), np.inf).argmin()
     return Fitted(

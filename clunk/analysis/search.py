@@ -275,8 +275,8 @@ class PointRuns:
 
     def _run(self, values: Floats) -> Points:
         results, points = self.runner.run(values, self._tell).of_lash(self._lash), _failed(len(values))
-        most = self.runner.study.solver.max_events  # which a run has taken that found no room for more
-        points["touches"] = np.where(results.status == Status.EVENT_BUFFER_FULL, most, results.touches)
+        is_cut = results.status == Status.EVENT_BUFFER_FULL  # after as many as there may be
+        points["touches"] = np.where(is_cut, self.runner.study.solver.max_events, results.touches)
         finished = results.status == Status.OK
         words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
         words = words.astype({TEXT: str, YES_NO: bool}.get(self.outcome.type, int))

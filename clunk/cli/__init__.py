@@ -7,7 +7,6 @@ so that `--help` and `--version` wait for neither numba nor matplotlib.
 import atexit
 import gc
 import io
-import os
 import signal
 import sys
 import warnings
@@ -18,7 +17,7 @@ import click
 
 from clunk import __version__
 from clunk.cli import terminal
-from clunk.cli.options import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE
+from clunk.cli.options import EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE
 from clunk.study.errors import ClunkError, ClunkWarning, nearest
 
 _COMMANDS = (
@@ -82,9 +81,6 @@ def main() -> NoReturn:
     except SystemExit as stopped:
         _tell_notes(stopped)
         raise
-    except BrokenPipeError:  # the reader of our output has gone, for example `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(EXIT_INTERNAL)
     except ClunkError as error:
         terminal.complain(str(error))
         _tell_notes(error)

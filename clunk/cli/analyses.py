@@ -286,19 +286,21 @@ def thresholds(
     else:
         print_thresholds(result)
     cells = "drawn cell" if is_toleranced else "cell"
-    found = f"{counted(located.value.size, 'threshold')} in {counted(located.lowest.size, cells)}"
-    click.echo(f"{found}, {located.runs:,} runs", err=True)
+    click.echo(
+        f"{counted(located.value.size, 'threshold')} in {counted(located.lowest.size, cells)}, {located.runs:,} runs",
+        err=True,
+    )
     if output is not None and is_picture:
         if is_toleranced:
-            undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, **options)
-            figure = plot.threshold_figure(result, undrawn)
+            figure = plot.threshold_figure(
+                result, analysis.thresholds(nominal(study), along=along, of=outcome, **options)
+            )
         else:
             figure = plot.threshold_figure(located)
         terminal.save_picture(figure, output)
     elif output is not None:
-        is_csv = output.suffix.lower() == ".csv"
-        text = result.csv() if is_csv else json.dumps(result.rows(), ensure_ascii=False) + "\n"
-        files.write_text(output, text)
+        rows = json.dumps(result.rows(), ensure_ascii=False) + "\n"
+        files.write_text(output, result.csv() if output.suffix.lower() == ".csv" else rows)
         terminal.say_written(output)
     if places := located.unresolved:
         cell, begin, end = places[0]

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from clunk.study.axes import ResultAxis
     from clunk.study.study import Study
 
-EXIT_INTERNAL = 1
 EXIT_USAGE = 2
 EXIT_FAILED_CELLS = 3
 EXIT_MISMATCH = 4

@@ -74,8 +74,7 @@ def plot(
     if output is not None:
         files.check(base, files.PICTURES, reads=file)
     results = read_map(file)
-    if at:
-        results = results.at(nearest_values(results.axes, at, results.tables))
+    results = results.at(nearest_values(results.axes, at, results.tables))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}
     if lash is None and results.lashes and LASH not in facets:

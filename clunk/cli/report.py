@@ -27,9 +27,8 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
 
     target = output or file.with_suffix(".html")
     files.check(target, (".html",), reads=file)
-    results = part = read_map(file)
-    if at:
-        part = results.at(nearest_values(results.axes, at, results.tables))
+    results = read_map(file)
+    part = results.at(nearest_values(results.axes, at, results.tables))
     digests = [("config digest", results.config_digest), ("content digest", content_digest(dataset_of(results)))]
     files.write_text(target, page(part, digests))
     terminal.say_written(target)

@@ -274,61 +274,63 @@ def build_tables(
         ),
     ]
     counts = [len(element.states) for element in elements]
-    chosen, strides = combinations(counts), _strides(counts)
+    chosen, strides = np.array(combinations(counts)), _strides(counts)
     flow_strides = _strides([1 + max(state.flow for state in element.states) for element in elements])
-    most = sum(max(len(state.guards) + len(state.watched) for state in element.states) for element in elements)
+    # of each regime's rows those that end it, element by element, and then those that make a margin only
+    lengths = [
+        np.array([len(getattr(state, rows)) for state in element.states])[chosen[:, e]]
+        for rows in ("guards", "watched")
+        for e, element in enumerate(elements)
+    ]
+    ends = np.cumsum(lengths, axis=0)
+    begins = ends - lengths
     regimes, contacts = np.zeros(len(chosen), REGIME), np.zeros((len(chosen), count), CONTACT)
-    guards = np.zeros((len(chosen), most), GUARD)
+    regimes["guards"], regimes["watched"] = ends[len(elements) - 1], ends[-1]
+    guards = np.zeros((len(chosen), ends[-1].max()), GUARD)
+    turned = np.zeros(guards.shape)  # their signs, but for the side
     offsets = np.zeros((*batch, *guards.shape, rubbing + OF_FRICTION * len(frictions)))
     weights = np.ones((*batch, len(chosen), offsets.shape[-1]))
-    groups: dict[tuple[Any, ...], int] = {}  # what makes a group -> its number
-    leaders = []
-    for k, number in enumerate(chosen):
-        active = [element.states[i] for element, i in zip(elements, number, strict=True)]
-        rows = [(e, guard) for e, state in enumerate(active) for guard in state.guards]
-        ending = len(rows)
-        rows += [(e, guard) for e, state in enumerate(active) for guard in state.watched]
-        flow = np.dot([state.flow for state in active], flow_strides[:-1])
-        sides = [int(state.weight) for state in active[:count]]
-        functionals = [elements[e].functional + guard.functional for e, guard in rows]
-        signs = [guard.sign * (sides[e] or 1 if e < count else 1) for e, guard in rows]
-        key = flow, tuple(side != 0 for side in sides), tuple(functionals), tuple(signs)
-        if key not in groups:
-            groups[key] = len(groups)
-            leaders.append(k)
-        regimes[k] = (flow, ending, len(rows), groups[key])
-        for e, (element, state) in enumerate(zip(elements, active, strict=True)):
-            weights[..., k, element.input] = state.weight
+    for e, element in enumerate(elements):
+        for number, state in enumerate(element.states):
+            at = np.flatnonzero(chosen[:, e] == number)
+            side = int(state.weight) if e < count else 0
+            regimes["flow"][at] += state.flow * flow_strides[e]
+            weights[..., at, element.input] = np.expand_dims(state.weight, -1)
             if e < count:
-                contacts[k, e] = (state.flow, sides[e])
-        for g, (e, guard) in enumerate(rows):
-            successor, zero_guard = -1, -1
-            if guard.successor >= 0:
-                successor = k + strides[e] * (guard.successor - number[e])
-                if guard.zero_guard >= 0:
-                    zero_guard = sum(len(state.guards) for state in active[:e]) + guard.zero_guard
-            guards[k, g] = (
-                functionals[g],
-                guard.sign,
-                successor,
-                guard.event_kind,
-                e if e < count else -1,
-                (sides[e] or (1 if guard.successor == CLOSED_POSITIVE else -1)) if e < count else 0,
-                zero_guard,
-                guard.zero_order,
-                guard.makes_margin,
-                functionals.index(functionals[g]),
-            )
-            offsets[..., k, g, elements[e].input] = guard.offset
+                contacts[at, e] = (state.flow, side)
+            of_state = zip((begins[e], begins[len(elements) + e]), (state.guards, state.watched), strict=True)
+            for row, guard in ((first[at] + k, guard) for first, some in of_state for k, guard in enumerate(some)):
+                fields = (
+                    element.functional + guard.functional,
+                    guard.sign,
+                    at + strides[e] * (guard.successor - number) if guard.successor >= 0 else -1,
+                    guard.event_kind,
+                    e if e < count else -1,
+                    (side or (1 if guard.successor == CLOSED_POSITIVE else -1)) if e < count else 0,
+                    begins[e, at] + guard.zero_guard if min(guard.successor, guard.zero_guard) >= 0 else -1,
+                    guard.zero_order,
+                    guard.makes_margin,
+                )
+                for name, value in zip(GUARD.names or (), fields, strict=False):
+                    guards[name][at, row] = value
+                turned[at, row] = guard.sign * (side or 1)
+                offsets[..., at, row, element.input] = np.expand_dims(guard.offset, -1)
+    functionals = guards["functional"]
+    guards["first_alike"] = (functionals[:, :, None] == functionals[:, None]).argmax(axis=2)
+    groups = np.column_stack([regimes["flow"], contacts["side"] != 0, functionals, turned])
+    _, leaders, group_of = np.unique(
+        groups.view(f"V{groups[0].nbytes}").ravel(), return_index=True, return_inverse=True
+    )
+    regimes["group"] = np.argsort(np.argsort(leaders))[group_of]
     return {
         "regimes": regimes,
         "contacts": contacts,
         "guards": guards,
         "offsets": offsets,
         "weights": weights,
-        "leaders": np.array(leaders),
+        "leaders": np.sort(leaders),
         "regime_strides": strides,
-        "friction_states": np.array(chosen)[:, len(elements) - len(frictions) :].copy(),
+        "friction_states": chosen[:, len(elements) - len(frictions) :].copy(),
     }
 
 

@@ -225,11 +225,9 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     axes, places = [*map(quantity, parameters)], np.arange(len(parameters))
     figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))
     for ax, (heading, shares) in zip(panels, drawn, strict=True):
-        ordered = [shares[parameter] for parameter in parameters]
-        first = [(each.first, *each.first_interval) for each in ordered]
-        total = [(each.total, *each.total_interval) for each in ordered]
-        for values, colour, at in ((first, _FIRST, -0.5 * _BAR), (total, _SECOND, 0.5 * _BAR)):
-            share, *interval = np.transpose(values)
+        ordered = [vars(shares[parameter]) for parameter in parameters]
+        for name, colour, at in (("first", _FIRST, -0.5 * _BAR), ("total", _SECOND, 0.5 * _BAR)):
+            share, *interval = np.transpose([(each[name], *each[f"{name}_interval"]) for each in ordered])
             ax.barh(places + at, share, _BAR, color=colour, xerr=np.abs(interval - share), error_kw=_INTERVAL)
         ax.axvline(0.0, color=INK, linewidth=0.8)
         ax.set_title(fill(style.capital(heading)), loc="left", fontsize=9.0)

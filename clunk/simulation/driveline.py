@@ -10,7 +10,7 @@ from functools import cache, cached_property, partial
 import numpy as np
 
 from clunk.core import tables
-from clunk.core.arrays import ComplexArray, FloatArray
+from clunk.core.arrays import FloatArray
 from clunk.core.batches import UnlikeError, alike
 from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.reductions import chain, constrained, locked, product
@@ -24,6 +24,7 @@ from clunk.study.arrays import Bools
 from clunk.study.document import Place
 from clunk.study.errors import ClunkError
 from clunk.study.models import Lash, Shaft
+from clunk.study.records import Record, told
 from clunk.study.study import Study
 
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
@@ -33,14 +34,14 @@ _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by sid
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(Record):
     """Oscillating modes of a driveline, lowest frequency first, and the rates of what decays without oscillating."""
 
-    frequency: FloatArray  # (k,)  Hz, undamped natural frequency |λ|/2π
-    damping_ratio: FloatArray  # (k,)  ζ = -Re λ/|λ|
-    overdamped: FloatArray  # (m,)  1/s; a rigid-body drift has 0
-    shapes: ComplexArray  # (k, n)  amplitudes of the angles in each mode
-    energy_shares: FloatArray  # (k, n)  of each inertia in the mode's kinetic energy, J |θ|² over the sum
+    frequency: FloatArray = told(key="frequency_hz")  # (k,)  Hz, undamped natural frequency |λ|/2π
+    damping_ratio: FloatArray = told()  # (k,)  ζ = -Re λ/|λ|
+    overdamped: FloatArray = told(key="decay_rate_per_s")  # (m,)  1/s; a rigid-body drift has 0
+    # (k, n)  of each inertia in the mode's kinetic energy, J |θ|² over the sum
+    energy_shares: FloatArray = told(key="kinetic_energy_share")
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +211,6 @@ class Driveline:
             frequency=np.abs(oscillating) / (2.0 * np.pi),
             damping_ratio=-oscillating.real / np.abs(oscillating),
             overdamped=np.sort(np.abs(monotone.real)),
-            shapes=shapes,
             energy_shares=energy / energy.sum(axis=1, keepdims=True),
         )
 
@@ -304,10 +304,15 @@ def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[Flo
     """Damping and stiffness in each flow, without its constraints."""
     staged = [shaft for _, shaft in driveline.staged]
     flows = flows_of(len(study.lashes), staged, len(driveline.frictions))
-    return {each: driveline.in_stages(each.stages).matrices(closed=_in_contact(study, each)) for each in flows}
+
+    @cache
+    def matrices_of(stages: tuple[int, ...], closed: tuple[int, ...] | bool) -> tuple[FloatArray, FloatArray]:
+        return driveline.in_stages(stages).matrices(closed=closed)
+
+    return {each: matrices_of(each.stages, _in_contact(study, each)) for each in flows}
 
 
-def _in_contact(study: Study, flow: tables.FlowOf) -> Sequence[int] | bool:
+def _in_contact(study: Study, flow: tables.FlowOf) -> tuple[int, ...] | bool:
     """Whether each lash, or none, is a spring and a damper in a flow: rigid flanks are not."""
     return False if study.has_rigid_flanks else flow.closed
 
@@ -321,15 +326,16 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     n, inertia = driveline.inertia.shape[-1], np.atleast_2d(driveline.inertia)
     rubbing, chains = [friction.twist[..., None, :] for friction, _ in driveline.frictions], []
     twists = np.concatenate([driveline.lashes, *rubbing], axis=-2)
-    ties_of = cache(partial(constrained, twists))  # the same in all stages
+    ties_of, line_in = cache(partial(constrained, twists)), cache(driveline.in_stages)  # the same in many flows
+    joints = np.concatenate([driveline.shafts, twists], axis=-2)
+    parts_of = cache(lambda *some: rigid.rigid_motions(joints[..., some, :]))
     for flow, of_flow in _chains(study, driveline).items():
         (closed, stages, stuck), inertias, matrices = flow, inertia, of_flow
-        line = driveline.in_stages(stages)
+        line = line_in(stages)
         if not stages and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
             parts = driveline.rigid_motion.shape
         else:
-            tied = twists[..., np.array([*closed, *stuck]) > 0, :]
-            parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
+            parts = parts_of(*np.flatnonzero([*line.is_spring, *closed, *stuck]))
         ties = ties_of((*(system.impulsive * lash for lash in closed), *stuck))
         left = ties.expand.shape[-1] // 2
         if left < n:  # each row of the basis has one entry at most: its inertias stay diagonal

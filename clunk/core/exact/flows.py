@@ -24,6 +24,7 @@ mode in resonance with the wave, of which |y| grows, but by no more than _GROWTH
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,14 +122,17 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     """
     (*many, count, driven), states = system.feedthrough.shape, system.rates.shape[-1]
     # before anything else: it is by these that drivelines differ in more than numbers, if they do
-    scaled = [*map(_scale, chains)]
-    modes = [*map(_modes, scaled)]
+    groups = [
+        group
+        for shape in {chain.rigid.shape for chain in chains}
+        for group in _groups(chains, np.flatnonzero([chain.rigid.shape == shape for chain in chains]))
+    ]
     wave = states - chains[0].shift.shape[-2]
-    fastest = [np.linalg.norm(each.generator, axis=(-2, -1)) for each in scaled]
+    fastest = [np.linalg.norm(each.scaled.generator, axis=(-2, -1)).reshape(many[0], -1).max(axis=1) for each in groups]
     fastest += [np.abs(system.rates[:, 0, -wave:, -wave:]).max(axis=(-2, -1))] * (wave > 0)
     is_fast = alike(np.max(fastest, axis=0) * system.end_time[:, 0] > _FAST, 0)
     spans = MORE_SPANS if is_fast else SPANS
-    size = whole(max([states, *(wave + _ends(each.slots) for each in modes if each is not None)]))
+    size = whole(max([states, *(wave + _ends(each.modes.slots) for each in groups if each.modes is not None)]))
     blocks = size // ROW
     shapes = (
         (4, driven, size),
@@ -146,9 +150,14 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     pieces = np.split(aligned(ends[-1], 1).ravel(), ends[:-1])
     floats = [piece.reshape(*many, *shape) for piece, shape in zip(pieces, shapes, strict=True)]
     tables = Flows._make([*floats, *np.zeros((2, *many), np.int64)])
-    for k, chain in enumerate(chains):
-        matrices = [array[:, k] for array in system[:4]]  # A, B, C and D
-        _fill(Flows._make(table[:, k] for table in tables), matrices, chain, scaled[k], modes[k], held)
+    while groups:
+        group = groups.pop()
+        try:
+            _fill(tables, system, group, held)
+        except UnlikeError:
+            if group.flows.size == 1:
+                raise
+            groups += [each for k in group.flows for each in _groups(chains, np.array([k]))]
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if system.first_rolling >= 0:
@@ -181,19 +190,56 @@ class _Modes(NamedTuple):
     slots: IntArray
 
 
+class _Group(NamedTuple):
+    """Flows of the same structure, G of them, in each of D drivelines: the numbers of all D G are made together.
+
+    Chains and what is made of them have an axis of D G in front, the flows of a driveline behind one another.
+    """
+
+    flows: IntArray  # (G,)
+    chain: Chain
+    scaled: _Scaled
+    modes: _Modes | None
+
+
+def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
+    """Groups of some flows, whose chains have arrays of the same shapes. Raises UnlikeError as `build_flows` does."""
+    inertias, *others = zip(*(chains[k] for k in flows), strict=True)
+    inertia, *matrices = (_in_rows(each, len(inertias[0])) for each in ([each[:, None] for each in inertias], *others))
+    chain = Chain(inertia[:, 0], *matrices)
+    try:
+        scaled = _scale(chain)
+        group = _Group(flows, chain, scaled, _modes(scaled))
+    except UnlikeError as unlike:
+        if flows.size == 1:
+            raise
+        first = np.unique(unlike.parts[0] % flows.size)
+        first = first if first.size < flows.size else first[::2]  # its drivelines differ, of each or of one
+        yield from _groups(chains, flows[first])
+        yield from _groups(chains, np.delete(flows, first))
+    else:
+        yield group
+
+
+def _in_rows(matrices: Sequence[FloatArray], drivelines: int) -> FloatArray:
+    """Matrices of flows, (m, n) of all drivelines or (D, m, n), behind one another for each driveline: (D G, m, n)."""
+    stacked = np.ascontiguousarray(np.stack(matrices, axis=-3))
+    count, *shape = stacked.shape[-3:]
+    return np.broadcast_to(stacked, (drivelines, count, *shape)).reshape(drivelines * count, *shape)
+
+
 def _ends(slots: IntArray) -> int:
     """The number of coordinates with these slots, whole pairs."""
     return (slots.max(initial=-1) | 1) + 1
 
 
-def _fill(
-    tables: Flows, matrices: list[FloatArray], chain: Chain, scaled: _Scaled, modes: _Modes | None, held: list[int]
-) -> None:
-    """Tables of one flow of D drivelines, (D, …); the coordinates that a chain has fewer than the tables stay zero.
-
-    matrices : A, B, C and D of the flow, as `regimes.System` has them, (D, …, …) float64
-    """
-    rates, inputs, functionals, feedthrough = matrices
+def _fill(tables: Flows, system: System, group: _Group, held: list[int]) -> None:
+    """Tables of the flows of a group; the coordinates that a chain has fewer than the tables stay zero."""
+    (flows, chain, scaled, modes), every = group, tables
+    tables = Flows._make(np.zeros((len(chain.inertia), *table.shape[2:]), table.dtype) for table in every)
+    rates, inputs, functionals, feedthrough = (  # A, B, C and D
+        array[:, flows].reshape(-1, *array.shape[2:]) for array in system[:4]
+    )
     unforced = chain.shift.shape[-2]  # states but for a wave's
     times, seen = product if chain.rigid.size else np.matmul, functionals[..., :unforced]
     into, back = times(scaled.into, chain.pick), times(chain.expand, scaled.back)
@@ -233,6 +279,8 @@ def _fill(
     tables.basis[:, place, :states] = back.swapaxes(-1, -2)
     tables.generator[:, place[:, None], place] = shortest[:, None, None] * block
     tables.series[:, :, place, 0] = times(functionals, back)
+    for table, of_group in zip(every, tables, strict=True):
+        table[:, flows] = of_group.reshape(-1, flows.size, *table.shape[2:])
 
 
 def halves(rows: Any) -> Any:
@@ -414,7 +462,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
         if count > 1:
-            raise UnlikeError([np.array([k]) for k in range(count)]) from None
+            raise UnlikeError(np.array_split(np.arange(count), 2)) from None
         return None
     sizes = np.linalg.norm(basis, axis=-2)  # of columns, with which nothing is lost
     parts = basis / sizes[:, None], inverse * sizes[..., None]
