@@ -304,6 +304,64 @@ def test_what_cannot_be_optimised_is_refused_in_a_sentence(old, new, sentence):
     assert sentence in " ".join(str(caught.value).split())
 
 
+def test_an_end_of_a_free_key_s_range_is_found_exactly(brief):
+    best = optimize(damped_ramp("lash.contact.damping", []))
+    assert best.parameters["lash.contact.damping"] == 20.0
+
+
+def test_starts_that_found_something_else_are_not_counted(brief):
+    study = damped_ramp("severity", [])
+    problem = Problem(study)
+    candidates = [np.array([0.1, damping]) for damping in (250.0, 250.0, 300.0)]
+    values = problem(np.array(candidates)).value
+    assert values[2] > 1.01 * values[0]
+    problem.size = 1e4 * values[0]  # of a config that is far worse
+    assert optimisation._optimum(problem, study, candidates).found == 2
+
+
+def test_candidates_beside_refused_ones_are_run_together(brief, monkeypatch):
+    """Breakpoints that cross are no config's; those of half of the candidates do."""
+    staged = ["driveline.shafts[1].stiffness=[20, 40, 20]", "driveline.shafts[1].breakpoints_deg=[-4, 4]"]
+    text = (
+        DAMPED_RAMP.split("[optimize]")[0].format()
+        + """[optimize]
+minimize = "severity"
+parameters = [
+    {parameter = "driveline.shafts[1].breakpoints_deg[1]", low = -10.0, high = 3.9},
+    {parameter = "driveline.shafts[1].breakpoints_deg[2]", low = -3.9, high = 10.0},
+]
+"""
+    )
+    problem = Problem(study_from_text(text, overrides=staged))
+    sizes, run = [], Problem._run
+    monkeypatch.setattr(Problem, "_run", lambda self, some: (sizes.append(len(some)), run(self, some))[1])
+    candidates = np.random.default_rng(1).uniform((-10.0, -3.9), (3.9, 10.0), (64, 2))
+    value = problem(candidates).value
+    crossed = candidates[:, 0] >= candidates[:, 1]
+    assert 0 < np.count_nonzero(crossed) < 64
+    assert sizes == [np.count_nonzero(~crossed)]
+    assert np.isfinite(value).tolist() == (~crossed).tolist()
+
+
+@pytest.mark.parametrize("draws", ["value", "factor"])
+def test_what_is_drawn_by_value_is_not_free(draws):
+    text = to_toml(damped_ramp("severity", [])) + TOLERANCES.replace("lash.backlash_deg", "lash.contact.damping")
+    study = study_from_text(text.replace('draws = "factor"', f'draws = "{draws}"'))
+    if draws == "factor":
+        assert Problem(study).shape == (1, 16)
+        return
+    with pytest.raises(ClunkError, match="is free, and swept or drawn"):
+        Problem(study)
+
+
+def test_a_lash_that_there_is_not_and_what_has_no_order_are_refused_before_a_run():
+    with pytest.raises(ClunkError, match="there is no lash 2"):
+        optimize(damped_ramp(), lash=2)
+    for quantity in ("label", "severity<=3"):
+        with pytest.raises(ClunkError, match=f"{quantity} cannot be traded"):
+            front(damped_ramp("load.duration", []), quantity)
+
+
 def test_a_load_that_never_rests_has_no_release_time():
     study = damped_ramp("release_time")
     study = study.but(load=study.load.but(profile="lag", duration=None, time_constant=0.1))

@@ -160,7 +160,7 @@ def test_the_restitution_model_has_an_approach_velocity():
     model = 'lash.contact.model="restitution"'
     found = sensitivity(study(DRIVING, model))
     assert [indices.quantity for indices in found.indices] == ["approach_velocity", "nominal_label"]
-    with pytest.raises(ClunkError, match="not defined for the restitution model"):
+    with pytest.raises(ClunkError, match="not defined; under the restitution model"):
         sensitivity(study(DRIVING, model), of=["severity"])
 
 
@@ -196,6 +196,11 @@ def test_the_restitution_model_has_an_approach_velocity():
 def test_what_has_no_indices_is_refused_in_a_sentence(point, of, message):
     with pytest.raises(ClunkError, match=message):
         sensitivity(point, of=of)
+
+
+def test_a_lash_that_there_is_not_is_refused_in_a_sentence():
+    with pytest.raises(ClunkError, match="there is no lash 2"):
+        sensitivity(study(DRIVING), lash=2)
 
 
 def test_a_draw_that_the_config_s_own_check_did_not_see_is_refused_too():

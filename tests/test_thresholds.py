@@ -149,6 +149,8 @@ def test_failed_runs_are_an_outcome_and_not_invented():
         (RATIO, "load.ratio", "severity<=much", "compares nothing"),
         (RATIO, "load.ratio", "double_sided<2", "compares nothing"),
         (RATIO, "load.ratio", "label=DS", "compares nothing"),
+        (RATIO, "load.ratio", "nominal_label=1", "compares nothing"),
+        (RATIO, "load.ratio", "margin<=0.1", "only the exact method knows it"),  # and this is rk4
         (RATIO, "load.ratio", "nominal_label", "no thresholds"),
         (axis("load.ratio", 5.0, 5.0, 1), "load.ratio", "label", "has one value"),
         (axis("impacts.acceleration_of", 1.0, 4.0, 4), "impacts.acceleration_of", "touches", "whole number"),

@@ -28,6 +28,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.parameters import drawn_numbers, nominal_value
 from clunk.study.study import replace_values, to_toml
 from clunk.sweeping import parts as keeping, tolerances
+from clunk.sweeping.engines import run_tiles
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.sweep import Job, sweep
 
@@ -275,6 +276,15 @@ class TestFile:
     def test_it_is_not_read_as_a_regime_map(self, path):
         with pytest.raises(StoreError, match="holds a tolerance map, where a regime map is needed"):
             read_results(path)
+
+
+def test_the_first_tile_has_one_cell_as_nobody_knows_how_long_its_draws_take():
+    """An interrupt within the first seconds of a slow map finds cells that are done."""
+    grid = tolerances.SampleGrid(study(tolerance("lash.contact.stiffness")))
+    tiles = run_tiles(grid, np.arange(grid.design.cells), workers=1)
+    assert next(tiles).cells.size == 1
+    assert grid.pace[0] < 1.0
+    tiles.close()
 
 
 class TestCommands:

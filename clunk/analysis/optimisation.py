@@ -10,18 +10,19 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
 
 from clunk.analysis.search import in_halves
 from clunk.core.runs import BEGIN
-from clunk.results.quantities import YES_NO, measuring, quantity_of
+from clunk.results.quantities import TEXT, YES_NO, measuring, quantity_of
 from clunk.simulation.load import cases_of
 from clunk.study.arrays import Bools, Floats
 from clunk.study.designs import design_of, nominal
 from clunk.study.errors import ClunkError
-from clunk.study.models import Optimize
+from clunk.study.models import Optimize, lash_position
 from clunk.study.parameters import drawn_numbers, nominal_value, with_draws
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values
@@ -33,7 +34,7 @@ _STARTS = 4
 _EXPLORED = 1 << 15  # runs
 _POPULATION = 16  # candidates of a generation for each free number
 _GENERATIONS = 300  # of a start, at most
-_SAME = 1e-3  # by which the merits of starts that found the same differ
+_SAME = 1e-3  # of the best merit, by which those of starts that found the same differ
 _FRONT = 9  # optima of a trade-off
 
 
@@ -126,16 +127,16 @@ class Problem:
         shown: str = "",
     ) -> None:
         self.optimize, self.runs, self.progress = _table(study), 0, None
-        self._lash = lash
+        self._lash = lash_position(lash, study.lash_names) + 1
         free, minimize = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free]).T
-        keys = [key for each in free for key in each.keys]
-        is_of_runs = minimize not in (*keys, RELEASE_TIME)
+        keys = {key for each in free for key in each.keys}
         if minimize == RELEASE_TIME and study.load.profile in ("lag", "sine"):
             raise ClunkError(f'optimize.minimize = "{minimize}": a load of profile "{study.load.profile}" never rests.')
         self._numbers = [quantity_of(shown, study)] if shown else []
         with _errors_of("minimize, a free key, release_time or a quantity"):
-            self._numbers += [quantity_of(minimize, study)] if is_of_runs else []
+            if minimize not in (*keys, RELEASE_TIME):
+                self._numbers.append(quantity_of(minimize, study))
             for quantity in self._numbers:
                 if quantity.type == "label":
                     raise ClunkError("A label cannot be minimised; severity or double_sided, for example, can.")
@@ -151,10 +152,14 @@ class Problem:
         self._drawn = drawn_numbers(study, self._tolerances)
         self.shape = design.cells, len(self._drawn[0]) if self._drawn else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
-        if swept := self._cells.keys() & keys:
-            raise ClunkError(f"{min(swept)} is both free and swept: leave out its axis.")
-        keys += [*self._cells, *(each.parameter for each in self._tolerances)]
-        self._runner = Runner(self.study, [*dict.fromkeys(keys)], workers=workers)
+        if taken := keys & (
+            self._cells.keys() | {each.parameter for each in self._tolerances if each.draws == "value"}
+        ):
+            raise ClunkError(
+                f"{min(taken)} is free, and swept or drawn: leave out its axis, or draw a factor or an offset."
+            )
+        keys |= self._cells.keys() | {each.parameter for each in self._tolerances}
+        self._runner = Runner(self.study, sorted(keys), workers=workers)
         self.as_it_is = np.full((1, self.low.size), np.nan)
         self.before = self(self.as_it_is)
         self.size = abs(float(self.before.value[0])) or 1.0
@@ -173,8 +178,13 @@ class Problem:
     def __call__(self, candidates: Floats) -> Outcomes:
         """Run candidates, (n, parameters); NaN stands for the config's own values."""
         shape = (len(candidates), *self.shape)
-        refused = np.full((1, math.prod(self.shape), 1 + len(self._numbers) + len(self._conditions)), np.nan)
-        margin, *found = np.moveaxis(in_halves(self._run, candidates, refused), 2, 0)
+        values = np.full(
+            (len(candidates), math.prod(self.shape), 1 + len(self._numbers) + len(self._conditions)), np.nan
+        )
+        allowed = in_halves(self._are_allowed, candidates, np.zeros(1, bool))  # in halves, so that all run together
+        if allowed.any():
+            values[allowed] = in_halves(self._run, candidates[allowed], values[:1])
+        margin, *found = np.moveaxis(values, 2, 0)
 
         def worst(values: Floats) -> Floats:
             """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
@@ -204,10 +214,15 @@ class Problem:
         margin = np.abs(margin).min(axis=1)
         return Outcomes(value, excess, share, margin, {self.optimize.minimize: value, **quantities})
 
+    def _are_allowed(self, candidates: Floats) -> Bools:
+        """Mask of candidates, all true. Raises ConfigError where a config may not have the values of one."""
+        self._runner.checked(self._runner.values(self._columns(candidates)))
+        return np.ones(len(candidates), bool)
+
     def _run(self, candidates: Floats) -> Floats:
         """Margin, numbers, and how far each condition is from being met, in all runs of candidates, (n, runs, each)."""
         values = self._runner.values(self._columns(candidates))
-        results = self._runner(values, progress=self._tell).of_lash(self._lash)
+        results = self._runner.run(values, self._tell).of_lash(self._lash)
         self.runs += results.sequence.size
         found = [results.margin, *(quantity.compared(results) for quantity in self._numbers)]
         for condition in self._conditions:
@@ -308,6 +323,8 @@ def optimize(
         try:
             design = qmc.Sobol(problem.low.size, seed=np.random.default_rng(problem.optimize.seed))
             points = qmc.scale(design.random(problem.explored), problem.low, problem.high)
+            corners = [*islice(product(*zip(problem.low, problem.high, strict=True)), problem.explored // 2)]
+            points[: len(corners)] = corners  # which no search meets by chance
             outcomes = problem(points)
             if not math.isfinite(problem.size):  # the config as it is fails
                 problem.size = float(np.median(np.abs(np.nan_to_num(outcomes.value, posinf=1.0)))) or 1.0
@@ -331,7 +348,10 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
     Raises ClunkError where no values are found for which all conditions hold, and KeyboardInterrupt with the Front so
     far as its first argument, or as `optimize` does.
     """
-    table, best = _table(study), optimize(study, shown=quantity, **options)
+    table = _table(study)
+    if quantity_of(quantity, study).type in (TEXT, YES_NO):
+        raise ClunkError(f"{quantity} cannot be traded: its values have no order; severity, for example, can.")
+    best = optimize(study, shown=quantity, **options)
     if not best.holds:
         raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
     points = [best]
@@ -339,6 +359,8 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
         for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
             bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
             points.append(optimize(study.but(optimize=bounded), shown=quantity, **options))
+            if not points[-1].holds:
+                break  # nor does what is tighter
     except KeyboardInterrupt as stopped:
         stopped.args = (Front(tuple(points)),)
         raise
@@ -381,7 +403,7 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
         quantities=quantities,
         margin=float(outcomes.margin[k]),
         share=float(outcomes.share[k]) if problem.shape[1] > 1 else None,
-        found=int((merits <= merits[k] + _SAME).sum()),
+        found=int((merits <= merits[k] + _SAME * abs(merits[k])).sum()),
         runs=problem.runs,
         holds=bool(outcomes.excess[k] == 0.0 and np.isfinite(outcomes.value[k])),
         changes=tuple(

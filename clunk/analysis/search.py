@@ -278,7 +278,9 @@ class PointRuns:
         is_cut = results.status == Status.EVENT_BUFFER_FULL  # after as many as there may be
         points["touches"] = np.where(is_cut, self.runner.study.solver.max_events, results.touches)
         finished = results.status == Status.OK
-        words, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
+        found = self.outcome.of_runs(results)[finished]
+        # of NaN, what is not defined, nothing holds
+        words, inverse = np.unique(found == 1.0 if self.outcome.type == YES_NO else found, return_inverse=True)
         words = words.astype({TEXT: str, YES_NO: bool}.get(self.outcome.type, int))
         known = [self._codes.setdefault(word, len(self._codes)) for word in words.tolist()]
         points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]

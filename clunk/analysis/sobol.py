@@ -18,6 +18,7 @@ from clunk.study.arrays import Floats, Positions
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.loads import PROFILES
+from clunk.study.models import lash_position
 from clunk.study.parameters import nominal_value
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study
@@ -153,6 +154,7 @@ def sensitivity(
     'lash.contact.stiffness'
     """
     point = operating_point(study)
+    lash_position(lash, study.lash_names)  # before any run, or it is refused
     hardness = "approach_velocity" if point.has_rigid_flanks else "severity"
     names = of or (hardness, "nominal_label")
     parameters = tuple(draw.parameter for draw in point.swept.tolerances)

@@ -27,12 +27,6 @@ def write_whole(path: FilePath, write: Callable[[BinaryIO], object], scratch: Pa
             target.flush()
             os.fsync(target.fileno())
         temporary.replace(path)
-        if os.name == "posix":  # elsewhere no directory can be opened, to flush the renaming to the disk
-            directory = os.open(path.parent, os.O_RDONLY)
-            try:
-                os.fsync(directory)
-            finally:
-                os.close(directory)
     finally:
         with suppress(OSError):  # its directory may be what is missing
             temporary.unlink(missing_ok=True)

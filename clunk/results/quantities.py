@@ -63,9 +63,9 @@ _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     ">": (operator.gt, "is greater than"),
     "=": (operator.eq, "is"),
 }
-_UNDEFINED = {"severity": "approach_velocity", "peak_torque": "impulse"}  # of impulsive touches, and what is
 WHY_UNDEFINED = {  # in cells, of a map that may be of any model
     "severity": "; under the restitution model accelerations are impulsive, and approach_velocity is the measure",
+    "peak_torque": "; under the restitution model torques are impulsive, and impulse is the measure",
     "margin": "; only the exact method knows it (solver.method)",
 }
 _REQUEST = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL)
@@ -252,8 +252,12 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     name, relation, bound = words.groups("") if words else (text, "", "")
     if name not in known:
         raise no_quantity(text, [*known, *["severity<=8000"] * (not is_drawn), "label=DS(1)SS(1)"], name)
-    if name in _UNDEFINED and isinstance(source, Study) and source.has_rigid_flanks:
-        raise ClunkError(f"{name} is not defined for the restitution model; {_UNDEFINED[name]} is.")
+    if (
+        isinstance(source, Study)
+        and name in WHY_UNDEFINED
+        and (source.solver.method == "rk4" if name == "margin" else source.has_rigid_flanks)
+    ):
+        raise ClunkError(f"{name} is not defined{WHY_UNDEFINED[name]}.")
     quantity = known[name]
     if not relation:
         return quantity
@@ -282,7 +286,7 @@ def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | No
             return normalised_label(bound) if relation == "=" else None
         number = float(bound)
         is_whether = relation == "=" and number in (0.0, 1.0)
-        if math.isfinite(number) and (quantity.type != YES_NO or is_whether):
+        if math.isfinite(number) and (quantity.type != YES_NO or is_whether) and quantity.name != NOMINAL:
             return number
     return None
 

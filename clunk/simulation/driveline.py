@@ -11,7 +11,7 @@ import numpy as np
 
 from clunk.core import tables
 from clunk.core.arrays import FloatArray
-from clunk.core.batches import UnlikeError, alike
+from clunk.core.batches import alike
 from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.reductions import chain, constrained, locked, product
 from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, driveline_at, rolling_apart
@@ -332,9 +332,8 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     for flow, of_flow in _chains(study, driveline).items():
         (closed, stages, stuck), inertias, matrices = flow, inertia, of_flow
         line = line_in(stages)
-        if not stages and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
-            parts = driveline.rigid_motion.shape
-        else:
+        parts = driveline.rigid_motion.shape
+        if stages or any(stuck) or parts.size:
             parts = parts_of(*np.flatnonzero([*line.is_spring, *closed, *stuck]))
         ties = ties_of((*(system.impulsive * lash for lash in closed), *stuck))
         left = ties.expand.shape[-1] // 2
@@ -355,26 +354,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     )
     if system.drift.size:
         system, chains = _rolling_apart(system, chains)
-    return _build_each_once(system, chains, held, inertia)
-
-
-def _build_each_once(system: System, chains: list[Chain], held: list[int], inertia: FloatArray) -> Flows:
-    """Tables of a batch, of drivelines that differ in torques or restitution only, which are in no flow, made once."""
-    count = len(inertia)
-    numbers = [inertia, system.end_time, *system[:4]]  # of which all tables are made
-    rows = np.concatenate([array.reshape(count, -1) for array in numbers], axis=1)
-    _, first, each = np.unique(rows.view(f"V{rows[0].nbytes}").ravel(), return_index=True, return_inverse=True)
-    if first.size == count:
-        return build_flows(system, chains, held)
-    chains = [
-        Chain(chain.inertia[first], *(array[first] if array.ndim > 2 else array for array in chain[1:]))
-        for chain in chains
-    ]
-    try:
-        tables = build_flows(driveline_at(system, first), chains, held)
-    except UnlikeError as unlike:
-        raise UnlikeError([np.flatnonzero(np.isin(each, some)) for some in unlike.parts]) from None
-    return Flows._make(table[each] for table in tables)
+    return build_flows(system, chains, held)
 
 
 def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Chain]]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import FEW, Flag, Grid, Tile
+from clunk.sweeping.cells import Flag, Grid, Tile
 from clunk.sweeping.machine import available_cores
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
@@ -65,8 +65,8 @@ def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Ge
         while True:
             workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
             most = grid.tile_cells
-            if grid.pace[0] < math.inf:  # as it is known of threads
-                most = min(most, max(FEW, math.ceil(_TILE / grid.pace[0])))
+            if isinstance(engine, Threads) and grid.pace[0] < math.inf:
+                most = min(most, max(grid.few_cells, math.ceil(_TILE / grid.pace[0])))
             while size := next_tile(waiting.size, len(running), count, workers, most):
                 # each of the last tiles has cells of all that is left: they take equally long
                 part = slice(0, None, -(-waiting.size // size)) if waiting.size <= workers * size else slice(size)

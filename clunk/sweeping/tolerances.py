@@ -55,7 +55,7 @@ class SampleGrid(Grid):
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.swept.sampling.count
         self.drawn = drawn_numbers(study, self._tolerances)
-        self.few_cells = 0
+        self.few_cells, self.pace[0] = 0, 1.0  # until the first cells are done, which may take long
         self.tile_cells = max(1, min(_TILE_RUNS, most_of_load(study)) // self.draws)
 
     def shared(self) -> System | None:
@@ -74,7 +74,7 @@ class SampleGrid(Grid):
             sample.append(ResultAxis(name, numbers, known.name + suffix[draws], known.symbol, unit))
         return tuple(sample)
 
-    def run(self, cells: Cells, stop: Flag) -> Tile:
+    def tile_of(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; a tile that was stopped has none."""
         count = (self.draws + 1) * cells.size
         tile = self._of_runs.run_at(np.arange(count), self._values(cells), stop)

@@ -233,9 +233,9 @@ def _ends(slots: IntArray) -> int:
     return (slots.max(initial=-1) | 1) + 1
 
 
-def _fill(tables: Flows, system: System, group: _Group, held: list[int]) -> None:
+def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     """Tables of the flows of a group; the coordinates that a chain has fewer than the tables stay zero."""
-    (flows, chain, scaled, modes), every = group, tables
+    flows, chain, scaled, modes = group
     tables = Flows._make(np.zeros((len(chain.inertia), *table.shape[2:]), table.dtype) for table in every)
     rates, inputs, functionals, feedthrough = (  # A, B, C and D
         array[:, flows].reshape(-1, *array.shape[2:]) for array in system[:4]
