@@ -103,17 +103,22 @@ class Runner:
                 f"Points are rows of {len(self.keys)} values, of {', '.join(self.keys)}; their array has the shape "
                 f"{values.shape}."
             )
+        if self.grid.structural:  # two that are sound may not be so together, nor what is between them
+            self._check(values)
+            return values
         known = np.concatenate([values, self._allowed])
         ends = np.stack([known.min(axis=0), known.max(axis=0)])
-        together = bool(self.grid.structural)  # two that are sound may not be so together, nor what is between them
-        if together or not np.array_equal(ends, self._allowed):
+        if not np.array_equal(ends, self._allowed):
             try:
-                design_of_points(self.study, dict(zip(self.keys, (known if together else ends).T, strict=True)))
+                self._check(ends)
             except ConfigError:  # some point, or none but these two
-                design_of_points(self.study, dict(zip(self.keys, values.T, strict=True)))
+                self._check(values)
             else:
                 self._allowed = ends
         return values
+
+    def _check(self, values: Floats) -> None:
+        design_of_points(self.study, dict(zip(self.keys, values.T, strict=True)))
 
     def _design(self, values: Floats) -> Design:
         return along_run(zip(self.keys, values.T, strict=True))
