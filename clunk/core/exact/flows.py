@@ -214,7 +214,7 @@ def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
         if flows.size == 1:
             raise
         first = np.unique(unlike.parts[0] % flows.size)
-        first = first if first.size < flows.size else first[::2]  # its drivelines differ, of each or of one
+        first = first if first.size < flows.size else first[::2]  # drivelines differ, in some flow or in all
         yield from _groups(chains, flows[first])
         yield from _groups(chains, np.delete(flows, first))
     else:
