@@ -215,7 +215,7 @@ class Problem:
         return Outcomes(value, excess, share, margin, {self.optimize.minimize: value, **quantities})
 
     def _are_allowed(self, candidates: Floats) -> Bools:
-        """Mask of candidates, all true. Raises ConfigError where a config may not have the values of one."""
+        """(n,) true for each of the candidates. Raises ConfigError where a config may not have the values of one."""
         self._runner.checked(self._runner.values(self._columns(candidates)))
         return np.ones(len(candidates), bool)
 

@@ -279,7 +279,7 @@ class PointRuns:
         points["touches"] = np.where(is_cut, self.runner.study.solver.max_events, results.touches)
         finished = results.status == Status.OK
         found = self.outcome.of_runs(results)[finished]
-        # of NaN, what is not defined, nothing holds
+        # what is not defined is NaN, of which nothing holds
         words, inverse = np.unique(found == 1.0 if self.outcome.type == YES_NO else found, return_inverse=True)
         words = words.astype({TEXT: str, YES_NO: bool}.get(self.outcome.type, int))
         known = [self._codes.setdefault(word, len(self._codes)) for word in words.tolist()]

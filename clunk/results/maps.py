@@ -228,7 +228,7 @@ class Map(Design, ABC):
             arrays |= {name: self.arrays[name][impacts] for name in self.quantities if name not in arrays}
         lash = np.array(self.lashes)[index[-1:]].ravel().tolist() if self.lashes else [""]
         is_whole = all(places == slice(None) for places in index[: len(self.axes) - bool(self.lashes)])
-        is_theirs = self.boundaries is not None and lash == [self.boundaries.lash]
+        is_theirs = self.boundaries is not None and self.boundaries.lash in lash
         boundaries = self.boundaries if is_whole and is_theirs else None
         return replace(self, axes=axes, arrays=arrays, boundaries=boundaries)
 

@@ -65,7 +65,7 @@ def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Ge
         while True:
             workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
             most = grid.tile_cells
-            if isinstance(engine, Threads) and grid.pace[0] < math.inf:
+            if isinstance(engine, Threads) and grid.pace[0] < math.inf:  # of processes it is not known
                 most = min(most, max(grid.few_cells, math.ceil(_TILE / grid.pace[0])))
             while size := next_tile(waiting.size, len(running), count, workers, most):
                 # each of the last tiles has cells of all that is left: they take equally long
