@@ -4,8 +4,9 @@ import csv
 
 import numpy as np
 import pytest
+from conftest import BOERE
 from test_store import BACKLASH, INERTIA, RATIO, example
-from test_tolerances import DRIVELINE, study, tolerance
+from test_tolerances import study, tolerance
 
 import clunk as clunk_api
 from clunk.results import store
@@ -16,7 +17,7 @@ from clunk.study.config import study_from_text
 
 @pytest.fixture(scope="module")
 def probabilities():
-    return clunk_api.tolerance_map(study(tolerance("load.ratio"), count=4))
+    return clunk_api.tolerance_map(study(tolerance("load.ratio"), count=4, base=BOERE))
 
 
 @pytest.mark.parametrize("axes", [(RATIO,), (RATIO, BACKLASH), (INERTIA, RATIO, BACKLASH)], ids=len)
@@ -47,7 +48,7 @@ def test_probabilities_and_draws_are_exported(tmp_path, probabilities):
 
 
 def test_runs_of_a_path_have_their_coordinates(tmp_path):
-    base = study_from_text(DRIVELINE)
+    base = study_from_text(BOERE)
     save(tmp_path / "runs.csv", clunk_api.run_points(base, {"load.ratio": [1.0, 5.0], "lash.backlash_deg": [2.0, 6.0]}))
     rows = list(csv.DictReader((tmp_path / "runs.csv").read_text("utf-8").splitlines()))
     assert [(row["run"], row["load.ratio"], row["sequence"]) for row in rows] == [
