@@ -22,7 +22,7 @@ from hypothesis import given, strategies as st
 from clunk import ClunkError, load_study, simulate, sweep, tolerance_map
 from clunk.analysis.boundaries import with_boundaries
 from clunk.cli import cli
-from clunk.explorer.controls import adjustable, slider_range
+from clunk.explorer.controls import Controls, adjustable, slider_range
 from clunk.explorer.figures import MapFigure, Message, thinned
 from clunk.explorer.newest import Newest
 from clunk.explorer.server import explore
@@ -199,6 +199,25 @@ class TestRuns:
         assert run["events"]["text"].count("<tr>") > 3
         assert not [changes for changes in sent if "header" in changes and changes is not run]
 
+    def test_where_lines_take_too_long_the_map_is_shown_without_them(self, subject, monkeypatch):
+        """What progress there was is not said any more."""
+        sent, waiting = [], queue.Queue()
+        monkeypatch.setattr(Message, "send", lambda _, changes: sent.append(changes))
+        monkeypatch.setattr(Document, "add_next_tick_callback", lambda _, change: waiting.put(change))
+        monkeypatch.setattr("clunk.explorer.subject._LONGEST", 0.0)
+        monkeypatch.setattr("clunk.explorer.workbench._OFTEN", 0.0)
+        workbench = Workbench(document := Document(), subject, {"lash.contact.damping": "50"})
+        try:
+            document.callbacks.trigger_event(DocumentReady())
+            workbench._newest_map._worker.submit(lambda: None).result()  # behind the map
+            while not waiting.empty():
+                waiting.get()()
+        finally:
+            workbench.close()
+        told = [changes["status"]["text"] for changes in sent if "status" in changes]
+        assert any(" runs" in text for text in told)
+        assert told[-1].startswith("the map with these numbers")
+
 
 class TestControls:
     def test_there_is_a_slider_for_each_number_that_is_not_swept_and_changes_something(self, subject):
@@ -210,9 +229,18 @@ class TestControls:
     def test_the_numbers_of_every_config_have_sliders(self, name):
         study = load_study(CONFIGS / f"{name}.toml")
         for key, value in adjustable(study, set()).items():
-            start, end, step = slider_range(value, located(study, key)[1])
+            known = located(study, key)[1]
+            assert known.allows(value)
+            assert not known.allows(np.inf)
+            start, end, step = slider_range(value, known)
             assert start < end
             assert step > 0.0
+
+    @pytest.mark.parametrize(("typed", "taken"), [(99.0, 10.0), (1e308, 10.0), (-1.0, 2.0), (np.inf, 6.0)])
+    def test_the_value_of_an_axis_that_is_nearest_is_taken(self, subject, typed, taken):
+        controls = Controls(subject.study, subject.plane, set(CELL), lambda: None, 0)
+        controls.set({"lash.backlash_deg": typed})
+        assert controls.cell["lash.backlash_deg"] == taken
 
 
 @pytest.fixture(scope="module")

@@ -57,6 +57,11 @@ def rows_of_events(history):
 # --- Sampling
 
 
+def test_a_picture_of_short_steps_has_no_more_samples_than_it_can_show():
+    study = nominal("gap", "solver.step=1e-6", "solver.end_time=0.5")
+    assert 100_000 <= sample(simulate(study)).time.size < 101_000
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_rows_at_events_are_the_states_of_the_run(model):
     sampled, trajectory = history(model), run(model)

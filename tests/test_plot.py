@@ -237,6 +237,9 @@ def test_a_map_that_failed_everywhere_is_still_drawn(nine: Results) -> None:
     assert notes(regime_map(results))[-1] == "failed: 3,721 cells"
     with pytest.raises(plot.PlotError, match="not defined in any cell"):
         plot.draw(results, "severity")
+    row = results.at({"load.ratio": 5.0})
+    assert plot.default_quantities(row) == ["regimes"]
+    assert notes(plot.draw(row, "regimes")) == ["failed: 61 cells"]
 
 
 def test_a_geometric_axis_is_drawn_as_one() -> None:

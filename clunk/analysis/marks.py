@@ -17,13 +17,13 @@ def thresholds_of(results: Map) -> list[float]:
     """
     if results.lashes or "load.ratio" not in [axis.parameter for axis in results.axes if len(axis) > 1]:
         return []
-    study = study_from_text(results.config, source="the results file's config")
+    study = study_from_text(results.config, "the results file's config")
     if study.load.profile != "step" or any(shaft.friction for shaft in study.driveline.shafts):
         return []
     from clunk.simulation.small_gap import rigid_contact_thresholds  # 0.3 s, for no other map
 
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis) == 1}
-    return rigid_contact_thresholds(replace_values(study, fixed)).tolist()
+    return rigid_contact_thresholds(replace_values(study, fixed), 32).tolist()
 
 
 def ridge_of(values: Floats) -> Floats:

@@ -135,7 +135,7 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str) ->
 
     if output.suffix.lower() == ".csv":
         ((_, trajectory),) = runs
-        save_history(output, histories.sample(trajectory))
+        save_history(output, histories.sample(trajectory, trajectory.study.solver.step))
         terminal.say_written(output)
         return
     from clunk.plot import histories as figures

@@ -96,12 +96,17 @@ class Controls:
         values, own = axis.values, math.nan if axis.parameter == RUN else nominal_value(self._study, axis.parameter)
         first = own if values.min() <= own <= values.max() else values[len(values) // 2]
 
-        def place(value: float) -> int:
-            return int(np.argmin(np.abs(values - value)))
-
         title = title_of(axis.name or axis.parameter, axis.symbol, axis.unit)
         limits = 0, len(values) - 1, 1
-        self._add_row(axis.parameter, title, limits, first, place, lambda at: float(values[int(at)]), math.isfinite)
+        self._add_row(
+            axis.parameter,
+            title,
+            limits,
+            first,
+            lambda value: axis.nearest(np.clip(value, values.min(), values.max())),
+            lambda at: float(values[int(at)]),
+            math.isfinite,
+        )
 
     def _add(self, key: str) -> None:
         """Add a number, if it has no slider."""

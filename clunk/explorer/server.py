@@ -11,6 +11,7 @@ import socket
 import threading
 import webbrowser
 from html import escape
+from weakref import WeakSet
 
 from clunk.explorer.subject import Subject
 from clunk.results.files import reason
@@ -87,8 +88,9 @@ class Explorer:
         self._token = secrets.token_urlsafe(16)
         self.url = f"http://{HOST}:{self.port}/{self._token}/"
         self._subject = subject
+        self._workbenches = WeakSet[Workbench]()
         self._has_started = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="clunk explorer", daemon=True)
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)
         self._thread.start()
         self._has_started.wait()
 
@@ -107,6 +109,8 @@ class Explorer:
         self._has_started.set()
         await self._is_stopped.wait()
         server.stop()
+        for workbench in self._workbenches:
+            workbench.close()
         await asyncio.sleep(0.1)
         await http.close_all_connections()
 
@@ -115,6 +119,7 @@ class Explorer:
         arguments = document.session_context.request.arguments.items()
         link = {name: values[-1].decode("utf-8", "replace") for name, values in arguments}
         workbench = Workbench(document, self._subject, link)
+        self._workbenches.add(workbench)
         document.on_session_destroyed(lambda _: workbench.close())
 
     def open_browser(self) -> None:
@@ -131,9 +136,6 @@ class Explorer:
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._is_stopped.set)
             self._thread.join()
-
-    def __repr__(self) -> str:
-        return f"<clunk.Explorer at {self.url}>"
 
     def _repr_html_(self) -> str:
         return f'<iframe src="{escape(self.url)}" width="100%" height="760" style="border: none"></iframe>'

@@ -1,7 +1,6 @@
 """The page: a map, what is asked for with pointer, keys and widgets, and where it is shown."""
 
 import logging
-import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -33,7 +32,6 @@ _CLICKS = (Tap, DoubleTap, Press)  # quick ones, wherever they are, and slow one
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
 _HELP = "   ·   click: keep a run · p: pin it · u: unpin · arrows: next cell · f: follow the pointer"
-_HELP_WITHOUT_MAP = "   ·   p: pin this run · u: unpin"
 _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
 
 _KEEP_LINK = """
@@ -166,7 +164,7 @@ class Workbench:
         for name, text in link.items():
             with suppress(ValueError):
                 numbers[name] = float(text)
-        self._controls.set({name: number for name, number in numbers.items() if math.isfinite(number)})
+        self._controls.set(numbers)
         self._on_change()
 
     def _keep_link(self) -> None:
@@ -321,12 +319,12 @@ class Workbench:
         def work(go_on: GoOn) -> None:
             said = time.monotonic()
 
-            def progress(done: int, total: int) -> None:
+            def progress(done: int, _total: int) -> None:
                 nonlocal said
                 go_on()
                 if time.monotonic() > said + _OFTEN:
                     said = time.monotonic()
-                    self._say_soon(f"computing the map: {done:,} of {total:,}")
+                    self._say_soon(f"computing the map: {done:,} runs")
 
             if not numbers:
                 show(subject.results.at(slices) if slices else subject.results, "the map with the config's own numbers")
@@ -341,6 +339,7 @@ class Workbench:
             for results in subject.maps(slices, numbers, lash, progress):
                 go_on()
                 show(results, status)
+            self._say_soon(status)  # of lines that are not there too
             self._latest = (slices, numbers), results
 
         self._newest_map.submit(work)
@@ -357,7 +356,7 @@ class Workbench:
 
     def _say(self, text: str) -> None:
         """Write a text below the page."""
-        self._message.send({"status": {"text": f"{text}{_HELP if self._map else _HELP_WITHOUT_MAP}"}})
+        self._message.send({"status": {"text": f"{text}{_HELP * bool(self._map)}"}})
 
     def _say_soon(self, text: str) -> None:
         self._soon(partial(self._say, text))

@@ -96,13 +96,13 @@ class Layers:
         Raises PlotError where the quantity is not defined in any cell, ClunkError where there is none of that name.
         """
         described = quantity_of(quantity, drawn)
-        if len(view.axes) == 1 and described.type == TEXT:
+        if is_strip := len(view.axes) == 1 and described.type == TEXT:
             described = quantity_of(hardness(drawn), drawn)
         traced = None if view.places else drawn.boundaries
         labels = drawn.labels if traced is None else traced.labels
         is_label = described.type == TEXT
         values = np.zeros(0) if is_label else view.arrange(described.of_runs(drawn))
-        if not is_label and np.isnan(values).all():
+        if not is_label and not is_strip and np.isnan(values).all():
             why = WHY_UNDEFINED.get(described.name, "")
             raise PlotError(f"There is no {described.name} to draw: it is not defined in any cell{why}.")
         codes = view.arrange(drawn.sequence)

@@ -25,6 +25,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.models import Lash
 from clunk.study.study import Study
 
+_DRAWN = 100_000  # samples; of more a picture shows nothing
 LARGEST = 10_000_000  # samples; of the nominal driveline about 1.3 GB
 
 _NEAR = 1e-6  # of a step: a sample this near to an event would only repeat it
@@ -164,7 +165,7 @@ def sample(
     ----------
     trajectory : Trajectory
     step : float, optional  [s]
-        Between samples; by default the solver's step.
+        Between samples; by default the solver's step, or longer where that makes more than 100,000.
     until : float, optional  [s]
         On the axis of `History.time`; by default the run's end time. A run of which it is proved that nothing follows
         may be sampled for longer than it was computed.
@@ -177,8 +178,8 @@ def sample(
     """
     study, system = trajectory.study, build(trajectory.study)
     inputs_before, load = run_load(study)
-    step = study.solver.step if step is None else step
-    until = study.load.step_time + study.solver.end_time if until is None else until
+    until = until or study.load.step_time + study.solver.end_time
+    step = step or max(study.solver.step, until / _DRAWN)
     begin, end = -study.load.step_time, until - study.load.step_time
     count = (end - begin) / step + 2.0 * trajectory.events.size
     if count > LARGEST:

@@ -82,7 +82,7 @@ class SmallGap(NamedTuple):
         start, end = (system.contact_torque[0, 0, TORQUE] * inputs[TORQUE] for inputs in (before, after))
         crossing = np.log(abs((start - end) / end)) / decay if end != 0.0 and start != end else 0.0
         duration = max(1.35 * crossing, 3.0 / frequency)
-        step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
+        step = min(1.0 / (200.0 * frequency), max(study.solver.step, duration / 20_000))
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
         regime = regime_under(system, rest.regime, after)
@@ -101,15 +101,15 @@ def periods_in_envelope(ratio: float, damping_ratio: float) -> float:
     return np.log(ratio) / (2.0 * np.pi * damping_ratio) if ratio > 0.0 else np.nan
 
 
-def one_mode_thresholds(study: Study, count: int = 4) -> Floats:
+def one_mode_thresholds(study: Study) -> Floats:
     """Load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
 
-    σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Table 3.1). Empty for a driveline that does not oscillate, and
+    σr = exp(2π ζ1 (n - 1/2)), n = 1 … 4 (report Table 3.1). Empty for a driveline that does not oscillate, and
     for shafts with stages, with which no one mode does.
     """
     driveline = Driveline.from_study(study)
     lowest = np.empty(0) if driveline.staged else driveline.modes(closed=True).damping_ratio[:1]
-    return np.exp(2.0 * np.pi * lowest[:, None] * (np.arange(1, count + 1) - 0.5)).ravel()
+    return np.exp(2.0 * np.pi * lowest[:, None] * (np.arange(4) + 0.5)).ravel()
 
 
 def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:

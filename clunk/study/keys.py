@@ -49,9 +49,9 @@ class Key:
     not_zero: bool = False
 
     def allows(self, value: float) -> bool:
-        """Whether a number lies within the bounds."""
+        """Whether a number is finite and lies within the bounds."""
         above = self.lowest < value if self.above else self.lowest <= value
-        return above and value <= self.highest and not (self.not_zero and value == 0.0)
+        return above and value <= self.highest and math.isfinite(value) and not (self.not_zero and value == 0.0)
 
 
 @functools.cache

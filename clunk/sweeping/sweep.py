@@ -32,7 +32,7 @@ _NO_SWEEP = (
     "There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]] (clunk help designs). "
     "clunk simulate runs it once."
 )
-_BYTES_PER_CELL = 400  # the most that the results of a cell with few impacts, their assembly and writing take
+_BYTES_PER_CELL = 550  # the most that a cell with few impacts takes: results, assembly, lines, writing
 _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=True)."
 
 
