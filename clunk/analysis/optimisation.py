@@ -190,8 +190,8 @@ class Problem:
             """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
             return np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1)
 
-        lacks = np.zeros((shape[0], shape[2]))
-        quantities = {}
+        lacks = np.zeros(shape[::2])
+        quantities = {self.optimize.minimize: lacks}  # first; its values follow
         for condition, beyond in zip(self._conditions, found[len(self._numbers) :], strict=True):
             lacking = worst(beyond)
             lacks += lacking
@@ -212,7 +212,7 @@ class Problem:
         graded = (1.0 - 1.0 / (1.0 + lacks)).mean(axis=1)
         excess = np.where(holds.sum(axis=1) < self._needed, 1.0 - share + graded, 0.0)
         margin = np.abs(margin).min(axis=1)
-        return Outcomes(value, excess, share, margin, {self.optimize.minimize: value, **quantities})
+        return Outcomes(value, excess, share, margin, quantities | {self.optimize.minimize: value})
 
     def _are_allowed(self, candidates: Floats) -> Bools:
         """(n,) true for each of the candidates. Raises ConfigError where a config may not have the values of one."""

@@ -54,7 +54,10 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
     values += [(f"contact period T_c{f', {name}' * several}", f"{1e3 * time:.2f} ms") for name, time in periods.items()]
     tables.print_values(values)
     if ratios:
-        click.echo("\nload ratio σr of an ideal step above which one more impact appears as the\nbacklash vanishes")
+        click.echo(
+            "\nload ratio σr of an ideal step above which one more impact appears as the\n"
+            "backlash vanishes, with the lash locked and no shaft's friction"
+        )
         tables.print_table(
             [
                 {"impacts": name} | {str(n): f"{ratio:.2f}" for n, ratio in enumerate(of, 1)}

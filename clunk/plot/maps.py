@@ -211,7 +211,7 @@ def strip(layers: Layers) -> Figure:
     ax.axhline(0.0, color=INK, linewidth=0.8, zorder=2)
     tidy(ax)
     band.set_yticks([])
-    band.tick_params(which="both", bottom=False, labelbottom=False)
+    band.tick_params(bottom=False, labelbottom=False)
     lay_out(figure, band, layers.title, layers.subtitle(layers.view.fixed))
     add_notes(figure, _write_on_map(band, layers, is_single=True))
     return figure
