@@ -282,5 +282,5 @@ def test_commands_answer(ran, here, command):
 
 
 def _turn(study, of=5):
-    """A number of a study, from 0 to 4: every fifth one has the same."""
+    """A number of a study, below `of`: one in so many has the same."""
     return sum(map(ord, study.title)) % of

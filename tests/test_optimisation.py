@@ -230,6 +230,15 @@ def test_a_robust_optimum_holds_in_the_share_of_the_drivelines_and_costs_time(br
     assert drawn.severity_quantiles[0, 1] <= 2000.0  # the median; of 16 drivelines, 12 are within the bound
 
 
+def test_under_tolerances_what_is_minimised_is_told_as_the_needed_share_has_it():
+    text = DAMPED_RAMP.format(minimize='"severity"', subject_to="[]", longest=0.1)
+    problem = Problem(study_from_text(text.replace("[optimize]", "[optimize]\nrobust = 0.5", 1) + TOLERANCES))
+    outcomes = problem(np.array([[0.1, 100.0]]))
+    severities = np.sort(problem._run(np.array([[0.1, 100.0]]))[0, :, 1])
+    assert severities[7] < severities[15]
+    assert outcomes.quantities["severity"] == outcomes.value == severities[7]
+
+
 def test_over_axes_the_worst_counts(brief):
     text = DAMPED_RAMP.format(minimize='"severity"', subject_to="[]", longest=0.1)
     study = study_from_text(text + "[[sweep.axes]]\nparameter = 'load.ratio'\nvalues = [2.0, 3.0, 5.0]\n")
