@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.colors import to_rgba_array
 from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image, ImageDraw
 
@@ -137,8 +138,8 @@ class Layers:
         if (by_label or described.type == YES_NO) and whole.size <= MOST_LABELS and not draws:
             if not by_label:  # lines are traced between labels
                 codes = np.where(np.isnan(values), FAILED_CODE, np.searchsorted(whole, values)).astype(np.int16)
-                layers = replace(layers, codes=codes, boundaries=None, unresolved=layers.unresolved[:0])
-                layers = replace(layers, undecided=np.zeros_like(undecided))
+                unresolved, undecided = layers.unresolved[:0], np.zeros_like(undecided)
+                layers = replace(layers, codes=codes, boundaries=None, unresolved=unresolved, undecided=undecided)
             fact = f"{'whether' if described.type == YES_NO else 'numbers:'} {described.heading}"
             return layers._regrouped(np.array(of_labels) if by_label else whole, layers._looks_of(whole), fact)
         if not view.places:
@@ -224,8 +225,7 @@ class Layers:
 
     def colours_of(self, regions: LabelCodes) -> Floats:
         """(…, 3) colours of regions (…), 0 to 255."""
-        table = np.array([list(bytes.fromhex(each[1:])) for each in (*self.colours, FAILED_FILL)], np.float64)
-        return table[regions]
+        return 255.0 * to_rgba_array([*self.colours, FAILED_FILL])[regions, :3]
 
     @property
     def failed(self) -> Bools:
@@ -258,15 +258,15 @@ class Layers:
         regions = zip(self.names, self.colours, self.shares.tolist(), strict=False)
         shown = set(names) & set(self.seen)
         notes = [Note(text(name, f"{100 * share:.2g} %"), colour) for name, colour, share in regions if name in shown]
-        if failed := self.failed.sum():
-            notes.append(Note(text(FAILED, counted(failed, "cell")), FAILED_FILL))
         if self.shaded and (np.isnan(self.values) & ~self.failed).any():
             why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
             notes.append(Note(why, UNDEFINED))
-        if undecided := self.undecided.sum():
-            notes.append(Note(text("blurred, undecided", counted(undecided, "cell")), ""))
-        if len(self.unresolved):
-            notes.append(Note(text("blurred, lines unresolved", counted(len(self.unresolved), "place")), ""))
+        doubtful = (
+            (FAILED, self.failed.sum(), "cell", FAILED_FILL),
+            ("blurred, undecided", self.undecided.sum(), "cell", ""),
+            ("blurred, lines unresolved", len(self.unresolved), "place", ""),
+        )
+        notes += [Note(text(name, counted(count, unit)), colour) for name, count, unit, colour in doubtful if count]
         return [*notes, *self.notes]
 
     @property

@@ -232,10 +232,10 @@ def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
     """(nx, ny, 3) colours of the cells, 0 to 255: of their values where these have shades, else of their regions."""
     if shades is None:
         return layers.region_colours if layers.paint is None else layers.paint
-    cells = shades.to_rgba(layers.values)[..., :3] * 255.0
-    cells[np.isnan(layers.values)] = list(bytes.fromhex(UNDEFINED[1:]))
-    cells[layers.failed] = list(bytes.fromhex(FAILED_FILL[1:]))
-    return cells
+    cells = shades.to_rgba(layers.values)[..., :3]
+    cells[np.isnan(layers.values)] = colors.to_rgb(UNDEFINED)
+    cells[layers.failed] = colors.to_rgb(FAILED_FILL)
+    return 255.0 * cells
 
 
 def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: float) -> None:

@@ -124,10 +124,12 @@ def lay_out(
     titles += [part.suptitle(line, **look, **place) for part in figure.subfigs]
     if len(titles) == 1:
         ax.set_title(line, loc="left", wrap=True, **look)
+    heights = [text.get_window_extent().height for text in titles]
     add_notes(figure, notes)
     for text in titles:
         text.set_x(ax.get_position().x0)
-    _arrange(figure)  # titles that begin further to the right may need another line
+    if heights != [text.get_window_extent().height for text in titles]:
+        _arrange(figure)  # further to the right, titles may need another line
 
 
 def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
