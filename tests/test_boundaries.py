@@ -228,7 +228,8 @@ HARD = {
     "damping": ("", ("lash.contact.damping", 0.05, 3.0)),
     "restitution": ('model = "restitution"\n', ("lash.contact.restitution", 0.0, 0.96)),
 }
-RANDOM = (10, 20, 23, 29, 39)  # studies: of staged shafts, frictions, gears, all profiles but the report's step
+# Studies of staged shafts, frictions, gears, all profiles but the report's step.
+RANDOM = (20, 23, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (10, 29, 39)))
 
 
 def hard_study(name):

@@ -44,8 +44,9 @@ class Optimum(Record):
 
     study : Study with these values
     parameters : key -> value, in its unit
-    value : what is minimised, in the needed share of the drivelines
-    quantities : what is minimised, and the conditions -> the worst of all cells and drivelines
+    value : what is minimised
+    quantities : what is minimised, the worst of all cells that the needed share of the drivelines stays within, and
+        whether each condition holds in all of them
     margin : least distance of a run to another label; NaN where the method tells none
     share : of the drivelines in which the conditions hold; None without tolerances
     found : how many of the starts found this value
@@ -112,6 +113,7 @@ class Problem:
     study : with [optimize]
     lash, workers : as of `optimize`
     shown : quantity that is told besides, if any
+    minimized : name of what is minimised
     progress : called with the number of runs so far, and the most that there can be
     size : that values of what is minimised are measured by, in its unit
     as_it_is : candidate of the config's own values, which `before` has run
@@ -128,15 +130,18 @@ class Problem:
     ) -> None:
         self.optimize, self.runs, self.progress = _table(study), 0, None
         self._lash = lash_position(lash, study.lash_names) + 1
-        free, minimize = self.optimize.parameters, self.optimize.minimize
+        free, self.minimized = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free]).T
         keys = {key for each in free for key in each.keys}
-        if minimize == RELEASE_TIME and study.load.profile in ("lag", "sine"):
-            raise ClunkError(f'optimize.minimize = "{minimize}": a load of profile "{study.load.profile}" never rests.')
+        if self.minimized == RELEASE_TIME and study.load.profile in ("lag", "sine"):
+            raise ClunkError(
+                f'optimize.minimize = "release_time": a load of profile "{study.load.profile}" never rests.'
+            )
         self._numbers = [quantity_of(shown, study)] if shown else []
         with _errors_of("minimize, a free key, release_time or a quantity"):
-            if minimize not in (*keys, RELEASE_TIME):
-                self._numbers.append(quantity_of(minimize, study))
+            if self.minimized not in (*keys, RELEASE_TIME):
+                self._numbers.append(quantity_of(self.minimized, study))
+                self.minimized = self._numbers[-1].name
             for quantity in self._numbers:
                 if quantity.type == "label":
                     raise ClunkError("A label cannot be minimised; severity or double_sided, for example, can.")
@@ -191,28 +196,27 @@ class Problem:
             return np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1)
 
         lacks = np.zeros(shape[::2])
-        quantities = {self.optimize.minimize: lacks}  # first; its values follow
+        quantities = {self.minimized: lacks}  # first; its values follow
         for condition, beyond in zip(self._conditions, found[len(self._numbers) :], strict=True):
             lacking = worst(beyond)
             lacks += lacking
             quantities[condition.name] = (lacking == 0.0).all(axis=1)
-        for quantity, values in zip(self._numbers, found, strict=False):
-            numbers = worst(values)
-            quantities[quantity.name] = numbers.max(axis=1)
+        numbers = {each.name: worst(values) for each, values in zip(self._numbers, found, strict=False)}
         parameters = self.parameters(candidates)
-        if self.optimize.minimize in parameters:
-            numbers = np.tile(parameters[self.optimize.minimize][:, None], shape[2])
-        elif self.optimize.minimize == RELEASE_TIME:
+        if self.minimized in parameters:
+            numbers[self.minimized] = np.tile(parameters[self.minimized][:, None], shape[2])
+        elif self.minimized == RELEASE_TIME:
             runs = math.prod(shape)
             loads = cases_of(self.study, self._columns(candidates), runs).loads
-            numbers = worst(np.broadcast_to(loads[:, -1, BEGIN], runs))
-        value = np.sort(numbers, axis=1)[:, self._needed - 1]
+            numbers[RELEASE_TIME] = worst(np.broadcast_to(loads[:, -1, BEGIN], runs))
+        for name, each in numbers.items():
+            quantities[name] = np.sort(each, axis=1)[:, self._needed - 1]
         holds = lacks == 0.0
         share = holds.mean(axis=1)
         graded = (1.0 - 1.0 / (1.0 + lacks)).mean(axis=1)
         excess = np.where(holds.sum(axis=1) < self._needed, 1.0 - share + graded, 0.0)
         margin = np.abs(margin).min(axis=1)
-        return Outcomes(value, excess, share, margin, quantities | {self.optimize.minimize: value})
+        return Outcomes(quantities[self.minimized], excess, share, margin, quantities)
 
     def _are_allowed(self, candidates: Floats) -> Bools:
         """(n,) true for each of the candidates. Raises ConfigError where a config may not have the values of one."""
@@ -358,13 +362,14 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
     try:
         for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
             bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
-            points.append(optimize(study.but(optimize=bounded), shown=quantity, **options))
-            if not points[-1].holds:
+            found = optimize(study.but(optimize=bounded), shown=quantity, **options)
+            if not found.holds:
                 break  # nor does what is tighter
+            points.append(found)
     except KeyboardInterrupt as stopped:
         stopped.args = (Front(tuple(points)),)
         raise
-    return Front(tuple(each for each in points if each.holds))
+    return Front(tuple(points))
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:
