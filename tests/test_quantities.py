@@ -50,6 +50,7 @@ def test_every_quantity_of_a_map_has_a_value_in_each_of_its_cells(results):
         ("NI", lambda runs: runs.label_map == "NI"),
         ("SS", lambda runs: np.strings.find(runs.label_map, "SS") >= 0),
         ("ds", lambda runs: np.strings.find(runs.label_map, "DS") >= 0),
+        (" ds =0", lambda runs: np.strings.find(runs.label_map, "DS") < 0),
         ("OS", lambda runs: np.zeros(runs.shape, bool)),  # for these the torque would have to reverse
         ("CR", lambda runs: np.zeros(runs.shape, bool)),
         ("chatter", lambda runs: runs.touches > runs.primary_impacts),

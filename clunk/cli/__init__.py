@@ -76,7 +76,7 @@ def main() -> NoReturn:
         sys.exit(EXIT_USAGE)
     except (click.Abort, KeyboardInterrupt) as stopped:
         _tell_notes(stopped.__cause__ or stopped)
-        click.echo("interrupted", err=True)
+        terminal.complain("interrupted")
         sys.exit(EXIT_INTERRUPTED)
     except SystemExit as stopped:
         _tell_notes(stopped)
@@ -106,7 +106,7 @@ def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: 
 
 
 def _terminate(_signal: int, _frame: object) -> NoReturn:
-    click.echo("terminated", err=True)
+    terminal.complain("terminated")
     sys.exit(EXIT_TERMINATED)
 
 

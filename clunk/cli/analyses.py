@@ -286,9 +286,8 @@ def thresholds(
     else:
         print_thresholds(result)
     cells = "drawn cell" if is_toleranced else "cell"
-    click.echo(
-        f"{counted(located.value.size, 'threshold')} in {counted(located.lowest.size, cells)}, {located.runs:,} runs",
-        err=True,
+    terminal.complain(
+        f"{counted(located.value.size, 'threshold')} in {counted(located.lowest.size, cells)}, {located.runs:,} runs"
     )
     if output is not None and is_picture:
         if is_toleranced:

@@ -73,10 +73,9 @@ def verify(study: Study, workers: int | None, as_json: bool, **_: Any) -> None:
     """Run a config by both methods and compare the results.
 
     The methods are rk4 (A) and exact (B), and what is printed is what clunk compare prints of their maps, in which each
-    lash of a cell counts as one. Exact is
-    guarded: it cannot skip an event, to rounding, for this model. Where labels differ in a cell that it does not flag
-    (undecided or grazing), the exit code is 4, and a smaller solver.step may mend it. A config without axes is a map
-    of one cell.
+    lash of a cell counts as one. Exact is guarded: it cannot skip an event, to rounding, for this model. Where labels
+    differ in a cell that it does not flag (undecided or grazing), the exit code is 4, and a smaller solver.step may
+    mend it. A config without axes is a map of one cell.
 
     \b
     Examples:

@@ -76,7 +76,7 @@ def simulate(
         if output.suffix.lower() == ".csv" and len(studies) > 1:
             raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
     if note := compiling_note(*(study for _, study in studies)):
-        click.echo(note, err=True)
+        terminal.complain(note)
     for _, study in studies:
         terminal.warn_of_coarse_step(study)
     runs = [(name, run(study)) for name, study in studies]

@@ -118,7 +118,7 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     failed = first.failed if isinstance(first, ToleranceMap) else (first.status != 0).sum()
     if job.held is None:
         each = f" x {draws:,} draws" if draws else ""
-        click.echo(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s", err=True)
+        terminal.complain(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s")
     terminal.report_failures(result, " for some draws" if draws else "")
     for caveat in result.caveats:
         terminal.complain(f"note: {caveat}")

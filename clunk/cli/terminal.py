@@ -101,7 +101,7 @@ def warn(study: Study, verb: str) -> None:
 
     warn_of_coarse_step(study)
     for parameter in unused_parameters(study):
-        click.echo(f"note: {parameter} is {verb}, but changes nothing in this model", err=True)
+        complain(f"note: {parameter} is {verb}, but changes nothing in this model")
 
 
 def report_failures(results: AnyMap, how: str = "") -> None:
@@ -119,7 +119,7 @@ def report_failures(results: AnyMap, how: str = "") -> None:
         for cell in cells[:3]:
             click.echo(fill(f"at {words(results.place(cell))}", "  ", "     "), err=True)
         if len(cells) > 3:
-            click.echo(f"  and {len(cells) - 3:,} more", err=True)
+            complain(f"  and {len(cells) - 3:,} more")
 
 
 def say_written(path: Path) -> None:
