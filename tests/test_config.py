@@ -576,6 +576,7 @@ def test_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
 )
 def test_override_sets_its_key(override, parameter, value):
     study = study_from_text(PRESET, overrides=[override])
+    assert study == study_from_text(PRESET, overrides=override)  # one needs no list
     assert nominal_value(study, parameter) == value
     assert nominal_value(study_from_text(PRESET), "load.static_torque") == -1.0
 

@@ -88,7 +88,7 @@ def test_an_additive_function_has_its_known_indices():
 
 def test_a_single_parameter_has_all_of_the_variance():
     point = study({"lash.backlash_deg": SPREAD["lash.backlash_deg"]}, count=64)
-    (indices,) = sensitivity(point, of=["severity"]).indices
+    (indices,) = sensitivity(point, of="severity").indices  # one needs no list
     (share,) = indices.indices.values()
     assert (share.first, share.total) == pytest.approx((1.0, 1.0), abs=0.02)  # of 64 samples
 

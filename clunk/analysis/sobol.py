@@ -115,7 +115,7 @@ class Sensitivity(Record):
 def sensitivity(
     study: Study,
     *,
-    of: Sequence[str] = (),
+    of: str | Sequence[str] = (),
     lash: str | int | None = None,
     workers: int | None = None,
     progress: bool | Progress = False,
@@ -127,7 +127,7 @@ def sensitivity(
     study : Study
         With tolerances whose draws are independent; its axes are ignored. The sampling's count is n, a
         power of two.
-    of : sequence of str, optional
+    of : str or sequence of str, optional
         Quantities, in the words of `clunk.results.quantities`: a number; or what is 1 where something holds and else 0,
         such as `nominal_label` (the label is that without tolerances), `double_sided` and `severity<=8000`. By default
         severity and `nominal_label`; for the restitution model, which has no severity, `approach_velocity` instead.
@@ -156,7 +156,7 @@ def sensitivity(
     point = operating_point(study)
     lash_position(lash, study.lash_names)  # before any run, or it is refused
     hardness = "approach_velocity" if point.has_rigid_flanks else "severity"
-    names = of or (hardness, "nominal_label")
+    names = [of] if isinstance(of, str) else of or (hardness, "nominal_label")
     parameters = tuple(draw.parameter for draw in point.swept.tolerances)
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
     if any(each.type == TEXT for each in quantities):

@@ -34,7 +34,7 @@ _LONGEST = 40  # signs of a lash's name that are in a file's
     metavar="KEY",
     help="From left to right, of axes walked together or of a sample.",
 )
-@click.option("--y", metavar="KEY", help="Upwards, of a sample; without it a quantity over --x.")
+@click.option("--y", metavar="KEY", help="Upwards, of a sample; with one of --x and --y a quantity is drawn over it.")
 def plot(
     file: Path,
     output: Path | None,
@@ -69,10 +69,7 @@ def plot(
     from clunk.study.axes import LASH
 
     base = output or file.with_suffix(".png")
-    if not base.suffix:
-        base = base.with_name(base.name + ".png")
-    if output is not None:
-        files.check(base, files.PICTURES, reads=file)
+    files.check(output, files.PICTURES, reads=file)
     results = read_map(file)
     results = results.at(nearest_values(results.axes, at, results.tables))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}

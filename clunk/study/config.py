@@ -43,13 +43,14 @@ _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...]
 )
 
 
-def load_study(path: FilePath, overrides: Sequence[str] = ()) -> Study:
+def load_study(path: FilePath, overrides: str | Sequence[str] = ()) -> Study:
     """Load the study of a config file.
 
     Parameters
     ----------
     path : path of a TOML file
-    overrides : sequence of str, "load.ratio=7"; the values are TOML, and paths in them begin in the current directory
+    overrides : str or sequence of str, "load.ratio=7"; the values are TOML, and paths in them begin in the current
+        directory
 
     Raises
     ------
@@ -77,14 +78,16 @@ def load_study(path: FilePath, overrides: Sequence[str] = ()) -> Study:
     return study_from_text(read_text(path), str(path), overrides, Path(path).parent)
 
 
-def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] = (), folder: FilePath = ".") -> Study:
+def study_from_text(
+    text: str, source: str = "<text>", overrides: str | Sequence[str] = (), folder: FilePath = "."
+) -> Study:
     """Load the study of a config's text; as `load_study` otherwise.
 
     Parameters
     ----------
     text : TOML
     source : name of the text in a report
-    overrides : sequence of str, "load.ratio=7"
+    overrides : str or sequence of str, "load.ratio=7"
     folder : path, in which the files that the text names are
 
     Examples
@@ -96,7 +99,7 @@ def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] 
     raw = parse_toml(text, source)
     assignments: dict[Place, Any] = {}
     malformed = []
-    for override in overrides:
+    for override in [overrides] if isinstance(overrides, str) else overrides:
         try:
             place, value = parse_override(override)
         except ValueError as error:
