@@ -134,7 +134,7 @@ def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Ex
     assert [each.met_by_some for each in fitted.measured[:2]] == [False, True]
     assert fitted.met == len(measured.measurements) - 1
     assert fitted.intervals()[0, 0] <= TRUE_GAP <= fitted.intervals()[0, 1]
-    assert "No change of a measured value alone" in fitted.missed[0].reason
+    assert "No factor that was tried on one measured value" in fitted.missed[0].reason
 
 
 def test_values_in_another_unit_are_not_met_and_the_fit_says_so(measured: Experiment) -> None:

@@ -305,6 +305,8 @@ def test_what_is_shown_as_it_is_is_the_config_s_own_run_though_keys_are_tied(bri
         ('"label=NI"', '"severty<=8"', "did you mean severity"),
         ('"label=NI"', '"label=XX"', 'optimize.subject_to: "label=XX" compares nothing'),
         ('minimize = "load.durations[1]"', 'minimize = "label"', "A label cannot be minimised"),
+        ('minimize = "load.durations[1]"', 'minimize = "nominal_label"', "A label cannot be minimised"),
+        ("[optimize]\n", "[optimize]\nrobust = 1.5\n", "found 1.5; must be a number above 0, up to 1"),
         (
             'minimize = "load.durations[1]"',
             'minimize = "load.durations[7]"',

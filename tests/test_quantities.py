@@ -85,5 +85,5 @@ def test_an_unmeasured_quantity_says_how_to_measure_it(results):
     with pytest.raises(ClunkError, match=r"impacts\.quantities = \['impulse'\]"):
         quantity_of("impulse", results)
     for name in ("impulse", "peak_shaft_torque"):
-        with pytest.raises(ClunkError, match=rf'no quantity "{name}"; there are label, severity'):
+        with pytest.raises(ClunkError, match=rf'no quantity "{name}" here; there are label, severity'):
             results.values(name)

@@ -327,7 +327,7 @@ class TestCommands:
         [
             (("plot", "small.h5", "--x", "load.ratio"), "x and y are for axes that are walked together"),
             (("compare", "small.h5", "small.h5"), "small.h5 holds a tolerance map, where a regime map is needed"),
-            (("plot", "small.h5", "--quantity", "touches"), 'There is no quantity "touches"; there are label'),
+            (("plot", "small.h5", "--quantity", "touches"), 'There is no quantity "touches" here; there are label'),
         ],
     )
     def test_what_does_not_go_is_a_sentence(self, config, command, found, arguments, sentence):

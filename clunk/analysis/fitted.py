@@ -264,7 +264,7 @@ class Fitted(Record):
             return "The run failed."
         events = order_of_events(flanks_of_label(label), flanks_of_label(computed))
         if match["change"] == 0.0:
-            return f"{events} No change of a measured value alone brings about the measured label."
+            return f"{events} No factor that was tried on one measured value brings about the measured label."
         return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
 
     def intervals(self) -> Floats:

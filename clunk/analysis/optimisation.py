@@ -143,7 +143,7 @@ class Problem:
                 self._numbers.append(quantity_of(self.minimized, study))
                 self.minimized = self._numbers[-1].name
             for quantity in self._numbers:
-                if quantity.type == "label":
+                if quantity.name in ("label", "nominal_label"):
                     raise ClunkError("A label cannot be minimised; severity or double_sided, for example, can.")
         with _errors_of("subject_to"):
             self._conditions = [quantity_of(text, study) for text in self.optimize.subject_to]

@@ -298,7 +298,7 @@ def no_quantity(text: str, known: Collection[str], name: str = "") -> ClunkError
     hint = f"; did you mean {likely}?" if likely else "."
     if name in OF_IMPACTS and "margin" in known:  # else it is a tolerance map, which has none of them
         hint = f"; impacts.quantities = [{name!r}] in the config measures it."
-    return ClunkError(f"There is no quantity {shorten(text)}; there are {listing([*known])}{hint}")
+    return ClunkError(f"There is no quantity {shorten(text)} here; there are {listing([*known])}{hint}")
 
 
 def measuring(study: Study, quantities: Iterable[Quantity]) -> Study:

@@ -285,7 +285,7 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
             findings.append(((*at, "parameter"), text))
         if at[1] != "axes":
             continue
-        text = f"{dotted(at)} sweeps {parameter}; name one of its values by --at, or set the axis"
+        text = f"{dotted(at)} sweeps {parameter}: set the axis's values, or, of one run, choose one by --at"
         set_instead = instead if place[0] == "lash" else []  # of the other torques, the axis has an error of its own
         findings += [(each, text) for each in (place, *set_instead) if each in assigned]
         is_missing = not any(value_at(document, each) is not None for each in (place, *instead))

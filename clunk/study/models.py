@@ -296,7 +296,7 @@ class Fit(Table):
     effective_draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 400
     draws: Annotated[int, Field(ge=64, le=MOST_DRAWS)] = 8192
     seed: Annotated[int, Field(ge=0)] = 0
-    wrong_labels: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    wrong_labels: Annotated[float, Field(gt=0, lt=1, description="a number above 0 and below 1")] = 0.1
     scatter: Positive = 0.2
 
 
@@ -336,7 +336,7 @@ class Optimize(Table):
 
     minimize: Text
     subject_to: tuple[Text, ...] = ()
-    robust: Annotated[float | None, Field(gt=0, le=1)] = None
+    robust: Annotated[float | None, Field(gt=0, le=1, description="a number above 0, up to 1")] = None
     seed: Annotated[int, Field(ge=0)] = 0
     parameters: Annotated[tuple[FreeParameter, ...], Field(min_length=1)]
 
