@@ -372,7 +372,7 @@ def fitted_study(fitted: Fitted) -> Study:
     Examples
     --------
     >>> import clunk
-    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
+    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=64"])
     >>> rig = clunk.fitted_study(clunk.fit(study, "table_4_1"))
     >>> rig.lash.backlash_deg > study.lash.backlash_deg
     True

@@ -259,7 +259,7 @@ def fit(
     Examples
     --------
     >>> import clunk
-    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
+    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=64"])
     >>> fitted = clunk.fit(study, "table_4_1")
     >>> fitted.met, fitted.met_by_config
     (15, 2)
