@@ -253,7 +253,7 @@ COMMANDS = (
     ("export", "map.h5", "map.csv"),
     ("verify", "study.toml"),
     ("compare", "map.h5", "map.h5"),
-    ("simulate", "study.toml", "-o", "run.csv"),
+    ("simulate", "study.toml", "--set", "solver.end_time=0.2", "-o", "run.csv"),  # a row for each step
 )
 OF_MAPS_OF_TWO_AXES = ("plot", "report")  # of more axes a picture is a slice, which the user chooses
 
