@@ -81,6 +81,11 @@ def test_what_holds_for_labels_has_a_probability_in_a_tolerance_map():
         quantity_of("touches", tolerances)
 
 
+def test_a_label_alone_is_no_quantity_and_is_named_as_it_was_written(results):
+    with pytest.raises(ClunkError, match=r'no quantity "DS\(2\)" here.*label=DS\(1\)SS\(1\)'):
+        quantity_of("DS(2)", results)
+
+
 def test_an_unmeasured_quantity_says_how_to_measure_it(results):
     with pytest.raises(ClunkError, match=r"impacts\.quantities = \['impulse'\]"):
         quantity_of("impulse", results)

@@ -45,8 +45,8 @@ class Optimum(Record):
     study : Study with these values
     parameters : key -> value, in its unit
     value : what is minimised
-    quantities : what is minimised, the worst of all cells that the needed share of the drivelines stays within, and
-        whether each condition holds in all of them
+    quantities : numbers, each the worst of all cells that the needed share of the drivelines stays within, and whether
+        each condition holds in all of them
     margin : least distance of a run to another label; NaN where the method tells none
     share : of the drivelines in which the conditions hold; None without tolerances
     found : how many of the starts found this value
