@@ -145,7 +145,7 @@ def _cuts(coefficients):
 
     Eigenvalues of a companion matrix would lose a zero where the highest terms are rounding.
     """
-    if len(coefficients) < 2:
+    if len(coefficients) < 2 or abs(coefficients[0]) > sum(map(abs, coefficients[1:])):  # of which none can be 0
         return [0.0, 1.0]
     turns = _cuts([k * coefficient for k, coefficient in enumerate(coefficients)][1:])
     values = [_value(coefficients, u) for u in turns]
