@@ -323,6 +323,18 @@ def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(command):
     assert "warning" not in err
 
 
+@pytest.mark.parametrize("words", [["sweep"], ["optimize"], ["thresholds", "--along", "lash.contact.restitution"]])
+def test_keys_that_change_nothing_are_told(command, here, words):
+    free = "\n".join(f'[[optimize.parameters]]\nparameter = "{key}"\nlow = 0.1\nhigh = 0.2' for key in ("load.step_time",))
+    table = f'[optimize]\nminimize = "severity"\n{free}\n'
+    (here / "rig.toml").write_text(EXACT + table + axis("lash.contact.restitution", 0.1, 0.9, 2))
+    command_name, *options = words
+    code, _, err = command(command_name, "rig.toml", *options)
+    assert code == 0
+    for key in ("lash.contact.restitution", "load.step_time"):
+        assert f"note: {key} changes nothing in this model\n" in err
+
+
 def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):
     (here / "car.toml").write_text(
         '[driveline]\npreset = "car"\n[[driveline.shafts]]\nbetween = [4, 5]\nstiffness = 1e4\ndamping = 9.0\n'

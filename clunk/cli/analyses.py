@@ -66,7 +66,7 @@ def fit(
 
     files.check(picture, files.PICTURES)
     files.check(fitted_config, (".toml",), reads=config)
-    terminal.warn_of_coarse_step(study)
+    terminal.warn(study)
     fitted = clunk.fit(study, measurements, progress=True, **options)
     tables.tell(fitted, as_json)
     for sentence in fitted.warnings:
@@ -114,7 +114,7 @@ def optimize(
 
     files.check(output, (".toml",), reads=config)
     files.check(picture, files.PICTURES, reads=config)
-    terminal.warn_of_coarse_step(study)
+    terminal.warn(study)
     options["progress"] = True
     interrupt = None
     try:
@@ -189,7 +189,7 @@ def sensitivity(
 
     files.check(output, files.PICTURES, reads=config)
     point = sobol.operating_point(replace_values(study, cell_values(study, at, all_needed=False)))
-    terminal.warn(point, "drawn")
+    terminal.warn(point)
     result = sobol.sensitivity(point, of=quantities, progress=True, **options)
     tables.tell(result, as_json)
     if output is not None:
@@ -278,7 +278,7 @@ def thresholds(
         from clunk.plot import analyses as plot
 
         plot.other_axis(analysis.axes_of(study, along)[1])
-    terminal.warn_of_coarse_step(study)
+    terminal.warn(study)
     located = analysis.thresholds(study, along=along, of=outcome, progress=True, **options)
     result = analysis.threshold_quantiles(located, shares) if is_toleranced else located
     if as_json:

@@ -85,7 +85,7 @@ def verify(study: Study, workers: int | None, as_json: bool, **_: Any) -> None:
     import clunk
     from clunk.analysis.comparison import METHODS
 
-    terminal.warn_of_coarse_step(study, "rk4")
+    terminal.warn(study, "rk4")
     comparison = clunk.verify(study, workers=workers, progress=True)
     tables.tell(comparison, as_json)
     for method, results in zip(METHODS, comparison.maps, strict=True):

@@ -61,5 +61,5 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
         terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
     if not (study.swept.axes or study.swept.samples):
         study = of_one_cell(study)
-    terminal.warn_of_coarse_step(study)
+    terminal.warn(study)
     return Job(study).run(progress=True)

@@ -78,7 +78,7 @@ def simulate(
     if note := compiling_note(*(study for _, study in studies)):
         terminal.complain(note)
     for _, study in studies:
-        terminal.warn_of_coarse_step(study)
+        terminal.warn(study)
     runs = [(name, run(study)) for name, study in studies]
     records = [{"run": name} | run_record(trajectory) for name, trajectory in runs]
     if as_json:

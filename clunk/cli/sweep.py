@@ -72,7 +72,7 @@ def sweep(
         if result is not None:
             click.echo(f"{target} is already complete.", err=True)
         else:
-            terminal.warn(study, "swept")
+            terminal.warn(study)
             with opening as engine:
                 result = job.run(engine, progress=True)
         if not traces:

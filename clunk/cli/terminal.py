@@ -78,30 +78,23 @@ def complain(message: str) -> None:
         click.echo(line if len(line) <= WIDTH else fill(line), err=True)
 
 
-def warn_of_coarse_step(study: Study, method: str | None = None) -> None:
-    """Warn of a step of rk4 that is too coarse for the contact: wrong labels have no other sign where it is stable.
+def warn(study: Study, method: str | None = None) -> None:
+    """Warn of a step of rk4 that is too coarse for the contact, and note which of the keys that vary change nothing.
 
-    method : by which the study is run; by default its own
+    Wrong labels of a coarse step have no other sign where it is stable.
+
+    method : by which runs are made, by default the config's
     """
     from clunk.simulation.driveline import steps_a_period
+    from clunk.study.designs import unused_parameters
 
     if (method or study.solver.method) == "rk4" and (steps := steps_a_period(study)) < _FEWEST_STEPS:
         complain(
             f"warning: solver.step = {study.solver.step:g} s gives {steps:.2g} steps a period of the fastest "
             f"oscillation; with fewer than {_FEWEST_STEPS} rebounds are lost and labels wrong; exact has no steps"
         )
-
-
-def warn(study: Study, verb: str) -> None:
-    """Print warnings and notes on what is to be run.
-
-    verb : what is done to a parameter, for the note on each that changes nothing
-    """
-    from clunk.study.designs import unused_parameters
-
-    warn_of_coarse_step(study)
     for parameter in unused_parameters(study):
-        complain(f"note: {parameter} is {verb}, but changes nothing in this model")
+        complain(f"note: {parameter} changes nothing in this model")
 
 
 def report_failures(results: AnyMap, how: str = "") -> None:

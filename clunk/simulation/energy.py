@@ -215,7 +215,7 @@ def _integrals(rates: Floats, forms: Floats, length: float) -> tuple[Floats, Flo
         integrals += form * step
         term = term @ scaled * step
         form = form @ scaled
-        form = (form + form.transpose(0, 2, 1)) * step
+        form = (form + form.swapaxes(1, 2)) * step
         flow += term
     for _ in range(doublings):
         integrals += flow.T @ integrals @ flow

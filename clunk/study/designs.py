@@ -144,11 +144,11 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
 
 
 def unused_parameters(study: Study) -> list[str]:
-    """Swept, drawn or fitted keys that change nothing in the study's contact model."""
-    sweep = study.swept
-    swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)]
-    swept += [each.parameter for each in study.fit.parameters] if study.fit else []
-    return [parameter for parameter in swept if is_unused(study, parameter)]
+    """Swept, drawn, fitted or free keys that change nothing in the study's contact model."""
+    sweep, fitted = study.swept, study.fit.parameters if study.fit else ()
+    keys = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances, *fitted)]
+    keys += [key for each in study.optimize.parameters for key in each.keys] if study.optimize else []
+    return [key for key in keys if is_unused(study, key)]
 
 
 def is_unused(study: Study, parameter: str) -> bool:
