@@ -149,7 +149,7 @@ def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
 
 def _arrange(figure: Figure) -> None:
     ConstrainedLayoutEngine().execute(figure)
-    figure.set_layout_engine("none")  # else it would be laid out again when it is written
+    figure.set_layout_engine(None)  # with any, it would be drawn twice when it is written
 
 
 def swatch(text: str, colour: str, **look: Any) -> Patch:
