@@ -145,3 +145,20 @@ def test_a_cache_that_takes_no_files_is_done_without(tmp_path, variable):
     (tmp_path / "cache").write_text("not a directory")
     assert printed_by(ONE_PART, tmp_path, **{variable: str(tmp_path / "cache")})
     assert (tmp_path / "cache").read_text() == "not a directory"
+
+
+@pytest.mark.skipif(jit.partial is None, reason="numba's own cache prepares for compiling first")
+def test_kernels_that_are_kept_run_without_what_compiles_them():
+    """Importing how numba compiles the functions of arrays, and with it scipy's linear algebra, takes half a second."""
+    script = """
+import sys
+from clunk import load_study, sweep
+for method in ("rk4", "exact"):
+    sweep(load_study("configs/smoke.toml", [f'solver.method = "{method}"', "solver.end_time = 0.1"]), boundaries=False)
+print(sorted({"numba.np.arraymath", "scipy.linalg"} & set(sys.modules)))
+"""
+    for _ in range(2):  # of which the first may compile
+        done = subprocess.run(
+            [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=600, check=True
+        )
+    assert done.stdout == "[]\n"

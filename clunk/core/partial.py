@@ -23,7 +23,7 @@ for _owner, _names in (
     (CPUDispatcher, "compile"),
     (DefaultPassBuilder, "define_nopython_pipeline"),
     (Flags, "no_compile nrt"),
-    (FunctionCache, "flush load_overload save_overload"),
+    (FunctionCache, "flush load_overload _load_overload save_overload"),
     (JITCodeLibrary, "_finalize_dynamic_globals _finalize_final_module _optimize_final_module"),
     (PassManager, "add_pass_after"),
 ):
@@ -37,7 +37,8 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig, target_context):
         try:
-            return super().load_overload(sig, target_context)
+            # without preparing for compiling, as `load_overload` does: that takes half a second
+            return self._load_overload(sig, target_context)
         except Exception:  # whatever it is that reading half a file, or something else in its place, raises
             with contextlib.suppress(OSError):
                 self.flush()

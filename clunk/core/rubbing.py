@@ -31,6 +31,7 @@ from clunk.core.regimes import (
     stride_of_friction,
 )
 from clunk.core.runs import Moment
+from clunk.core.sums import weigh
 from clunk.core.tables import (
     ABOVE,
     CLOSED_NEGATIVE,
@@ -313,7 +314,8 @@ def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float,
 def _is_held(system: System, regime: int, functional: int) -> bool:
     """Whether what a functional tells stays zero in a regime, held by others, so that it is none."""
     flow = system.regimes[regime].flow
-    return not (system.functionals[flow, functional].any() or system.feedthrough[flow, functional].any())
+    told, through = system.functionals[flow, functional], system.feedthrough[flow, functional]
+    return weigh(told, told) + weigh(through, through) == 0.0
 
 
 @part

@@ -174,11 +174,10 @@ def _work_of_wave(regime: Regime, x: Floats, load: Floats, length: float) -> flo
     size, n = x.size, load.size
     if size == 2 * n:
         return 0.0
-    rates, form = np.zeros((size + 1, size + 1)), np.zeros((size + 1, size + 1))
-    rates[:size, :size], rates[:size, size] = regime.rates, regime.forcing
-    form[2 * n, n : 2 * n] = form[n : 2 * n, 2 * n] = load / 2.0
+    form = np.zeros((1, size + 1, size + 1))
+    form[0, 2 * n, n : 2 * n] = form[0, n : 2 * n, 2 * n] = load / 2.0
     z = np.append(x, 1.0)
-    return z @ _integrals(rates, form[None], length)[1][0] @ z
+    return z @ _integrals(regime.matrix, form, length)[1][0] @ z
 
 
 def _integrals(rates: Floats, forms: Floats, length: float) -> tuple[Floats, Floats]:

@@ -31,6 +31,13 @@ class Regime(NamedTuple):
     sides: Integers  # (L,)  sign of q on each lash's flank concerned, 0 for none
     closed: Integers  # (L,)  whether its flanks press on each other
 
+    @property
+    def matrix(self) -> Floats:
+        """M, (N + 1, N + 1)."""
+        matrix = np.pad(self.rates, (0, 1))
+        matrix[:-1, -1] = self.forcing
+        return matrix
+
 
 def regime_under(system: System, number: int, inputs: Floats) -> Regime:
     """One of the regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
@@ -104,8 +111,7 @@ def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats
 
 def states(regime: Regime, x: Floats, offset: float, step: float, count: int) -> Floats:
     """(count, N) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
-    matrix, z = np.zeros((x.size + 1, x.size + 1)), np.empty((count, x.size + 1))
-    matrix[:-1, :-1], matrix[:-1, -1] = regime.rates, regime.forcing
+    matrix, z = regime.matrix, np.empty((count, x.size + 1))
     z[0], filled = _exponential(offset * matrix) @ np.append(x, 1.0), 1
     power = _exponential(step * matrix) if count > 1 else matrix
     while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
