@@ -467,6 +467,30 @@ def test_a_signal_stops_a_sweep_and_keeps_what_is_done(tmp_path, number, code, w
     assert {path.name for path in (tmp_path / "map.h5.partial").iterdir()} >= {"manifest.json", "part-000001"}
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
+def test_a_signal_in_the_midst_of_a_line_of_progress_ends_a_sweep_too(tmp_path):
+    """A stream that is being written to takes nothing from a handler."""
+    script = """
+import io, os, signal, sys
+class Stream(io.FileIO):
+    killed = False
+    def write(self, content):
+        if b"cells" in bytes(content) and not self.killed:
+            self.killed = True
+            os.kill(os.getpid(), signal.SIGTERM)
+        return super().write(content)
+sys.stderr = io.TextIOWrapper(io.BufferedWriter(Stream(2, "w", closefd=False)), write_through=True)
+from clunk.cli import main
+main()
+"""
+    command = [sys.executable, "-c", script, "sweep", str(ROOT / "configs/smoke.toml"), "-o", "map.h5"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 143, done.stderr
+    assert "terminated" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+
 COMMANDS = cli.list_commands(click.Context(cli))
 HEAVY = {"numba", "matplotlib", "pydantic", "numpy", "scipy", "h5py", "rich"}
 

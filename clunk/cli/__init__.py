@@ -79,6 +79,8 @@ def main() -> NoReturn:
         terminal.complain("interrupted")
         sys.exit(EXIT_INTERRUPTED)
     except SystemExit as stopped:
+        if stopped.code == EXIT_TERMINATED:
+            terminal.complain("terminated")
         _tell_notes(stopped)
         raise
     except ClunkError as error:
@@ -106,8 +108,7 @@ def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: 
 
 
 def _terminate(_signal: int, _frame: object) -> NoReturn:
-    terminal.complain("terminated")
-    sys.exit(EXIT_TERMINATED)
+    sys.exit(EXIT_TERMINATED)  # without a word, as it may come in the midst of another one
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80})
