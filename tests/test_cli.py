@@ -490,7 +490,6 @@ main()
     assert "Traceback" not in done.stderr
 
 
-
 COMMANDS = cli.list_commands(click.Context(cli))
 HEAVY = {"numba", "matplotlib", "pydantic", "numpy", "scipy", "h5py", "rich"}
 

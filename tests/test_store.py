@@ -284,6 +284,8 @@ def test_writing_onto_a_directory_or_under_a_file_is_a_sentence(tmp_path: Path) 
     with pytest.raises(ClunkError) as raised:
         store.write_results(tmp_path / "file" / "map.h5", example(RATIO))
     assert_sentence(raised.value, tmp_path / "file" / "map.h5", "cannot be written")
+    with pytest.raises(ClunkError, match=r"must end in \.h5"):  # else HDF5 would stand under the name of a table
+        store.write_results(tmp_path / "map.csv", example(RATIO))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken"]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clunk.results.boundaries import boundaries_of, variables_of
-from clunk.results.files import reason
+from clunk.results.files import RESULTS, check, reason
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import AnyMap, Results, ToleranceMap, quantities_of_config
 from clunk.results.netcdf import (
@@ -48,7 +48,7 @@ def write_results(path: FilePath, results: AnyMap, scratch: Path | None = None) 
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
-    Raises ClunkError.
+    Raises ClunkError, also where its name does not end in .h5.
 
     Examples
     --------
@@ -56,6 +56,7 @@ def write_results(path: FilePath, results: AnyMap, scratch: Path | None = None) 
     >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
     >>> clunk.write_results("results/copy.h5", results)
     """
+    check(Path(path), RESULTS)
     write(path, dataset_of(results), scratch)
 
 

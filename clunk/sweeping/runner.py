@@ -100,8 +100,8 @@ class Runner:
         values = np.asarray(points, np.float64)
         if values.ndim != 2 or values.shape[1] != len(self.keys) or not len(values):
             raise ConfigError(
-                f"Points are rows of {len(self.keys)} values, of {', '.join(self.keys)}; their array has the shape "
-                f"{values.shape}."
+                f"Points are one row or more of {len(self.keys)} values, of {', '.join(self.keys)}; their array has "
+                f"the shape {values.shape}."
             )
         if self.grid.structural:  # two that are sound may not be so together, nor what is between them
             self._check(values)
