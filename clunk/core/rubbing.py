@@ -315,7 +315,7 @@ def _is_held(system: System, regime: int, functional: int) -> bool:
     """Whether what a functional tells stays zero in a regime, held by others, so that it is none."""
     flow = system.regimes[regime].flow
     told, through = system.functionals[flow, functional], system.feedthrough[flow, functional]
-    return weigh(told, told) + weigh(through, through) == 0.0
+    return weigh(told, told) + weigh(through, through) == 0.0  # `any` of numba's imports scipy's linear algebra
 
 
 @part
