@@ -11,6 +11,7 @@ from helpers.reference import Plant
 from helpers.studies import random_study
 
 import clunk
+from clunk.core import tile
 from clunk.core.exact.flows import Flows
 from clunk.core.regimes import VARYING
 from clunk.simulation import batches
@@ -190,6 +191,16 @@ def test_values_of_any_key_of_any_config_are_prepared_together_with_the_bits_tha
         batches_of_key = [*batches.prepare_many(study, [key], column[:, None])]
         assert len(batches_of_key) == (1 if method == "exact" else 3), key
     same_as_alone(study, points)
+
+
+@pytest.mark.parametrize(("method", "kernel"), [("exact", tile.by_exact), ("rk4", tile.by_rk4)])
+def test_every_driveline_is_run_by_the_same_machine_code(method, kernel):
+    """numba compiles a kernel again, for half a minute, where one of its arrays has another type or order."""
+    for seed in range(8):  # of 3 to 8 inertias, one to three lashes
+        study = random_study(seed, f'solver.method = "{method}"', "solver.end_time = 0.01")
+        clunk.simulate(study)
+        clunk.sweep(study, boundaries=False)
+    assert len(kernel.signatures) == 1
 
 
 def test_breakpoints_that_cross_are_refused_though_each_value_is_sound():

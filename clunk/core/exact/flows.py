@@ -557,7 +557,7 @@ def _first_guesses(stiffness: FloatArray, damping: FloatArray, modes: IntArray) 
 
     Those of which any is overdamped come twice, where they swing with the conjugate.
     """
-    half, squared = (array.diagonal(0, -2, -1)[:, modes] for array in (0.5 * damping, stiffness))
+    half, squared = (array.diagonal(0, -2, -1).take(modes, 1) for array in (0.5 * damping, stiffness))
     over = half * half - squared
     swing = np.sqrt(over.astype(complex))
     guesses, twice = np.where(squared > 0.0, swing - half, -2.0 * half), ((over > 0.0) & (squared > 0.0)).any(axis=0)

@@ -125,7 +125,7 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     bending = np.hypot(flows.watch[..., one:other], flows.watch[..., other : other + PAIRS])  # (K, F, B, 4)
     parabola = (STRIDE * step) ** 2 / 8
     sag = np.minimum(parabola * curvature.max(axis=-2)[:, None] * bending, 2.0 / slowest[:, None] * bending)
-    reach, pairs = flows.watch[..., SWAY : SWAY + PAIRS], (*bending.shape[:2], -1)
+    pairs = *bending.shape[:2], -1
 
     steady = flows.origin[:, 0, :, :states] @ flows.coordinates  # of y, by the inputs
     rows = np.zeros((len(steady), _padded(size), steady.shape[-1]))
@@ -140,5 +140,6 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
         of_ramp[:, :2], of_ramp[:, 2] = bent[:, by_ramp], STRIDE * step * bends_on[:, TORQUE_RATE]
     by_member = (halves(array).swapaxes(-3, -2).reshape(array.shape) for array in (rows, -steady))
     rows, by_inputs = by_member
+    reach = flows.watch[..., SWAY : SWAY + PAIRS].copy()  # a kernel is compiled anew for what is not contiguous
     bounds = rows, reach.reshape(pairs), sag.reshape(pairs), of_ramp
     return stable, by_inputs, bent, strides * flows.steady, strides, *bounds, flows.origin_output[:, 0].copy()
