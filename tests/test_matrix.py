@@ -128,8 +128,9 @@ def test_labels_of_the_methods_differ_in_flagged_cells_only(verified):
         cells, before = [cells[k] for k in left], [outcomes[k] for k in left]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_energy_of_its_nominal_run_closes(verified, method):
+def test_the_energy_of_its_nominal_run_closes(verified):
+    """By one method or the other: with a run of either it takes as long as all runs of its map."""
+    method = METHODS[_turn(verified.study, len(METHODS))]
     energy = balance(clunk.simulate(with_method(verified.study, method)))
     assert abs(energy.residual) <= ENERGY[method] * energy.largest + 1e-20  # J, where nothing moves at all
 
