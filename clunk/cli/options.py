@@ -115,10 +115,12 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
         if not axes:
             raise click.UsageError(f"--at {assignment}: nothing is swept; --set {assignment} gives a key its value.")
         try:
-            axis, wanted = swept[key], float(text or "")
+            axis, wanted = swept.pop(key), float(text or "")
         except (KeyError, ValueError):
             there = _spreads(axes)
-            raise click.UsageError(f"--at {assignment}: must be KEY=VALUE of what is swept: {there}.") from None
+            raise click.UsageError(
+                f"--at {assignment}: must be KEY=VALUE of what is swept: {there}; each once."
+            ) from None
         try:
             nearest = float(axis.values[axis.nearest(wanted)])
         except ClunkError as error:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from clunk.core.batches import UnlikeError
+from clunk.core.batches import UnlikeError, alike
 from clunk.core.exact.flows import Flows
 from clunk.core.regimes import driveline_at
 from clunk.core.rk4.propagator import build_steps
@@ -70,9 +70,8 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     # kind of driveline
     is_ratio, is_whole = [place[-1] == "ratio" for place in places], [key.whole for _, key, _ in keys]
     signs = np.where(is_ratio & (np.abs(values) == 1.0), 2.0, 1.0) * np.sign(values)
-    _, kind_of = np.unique(np.where(is_whole, values, signs), axis=0, return_inverse=True)
-    for kind in range(kind_of.max() + 1):
-        yield from _prepare_alike(study, parameters, places, values, np.flatnonzero(kind_of.ravel() == kind))
+    kinds = np.where(is_whole, values, signs)
+    yield from _prepare_alike(study, parameters, places, values, kinds, np.arange(len(values)))
 
 
 def most_prepared(study: Study) -> int:
@@ -82,23 +81,30 @@ def most_prepared(study: Study) -> int:
 
 
 def _prepare_alike(
-    study: Study, parameters: Sequence[str], places: Sequence[Place], values: Floats, positions: Positions
+    study: Study,
+    parameters: Sequence[str],
+    places: Sequence[Place],
+    values: Floats,
+    kinds: Floats,
+    positions: Positions,
 ) -> Iterator[tuple[Positions, Batch]]:
-    """Prepare drivelines of one kind, those at some positions in `values`; where they differ all the same, in parts."""
-    first = replace_values(study, dict(zip(parameters, values[positions[0]].tolist(), strict=True)))
+    """Prepare drivelines at some positions in `values`; where they are not alike, in parts.
+
+    kinds : of as many rows, whose drivelines are not alike where these differ
+    """
     most = most_prepared(study)
     while positions.size:
-        part = positions[:most]
-        varied = {place: values[part, k] for k, place in enumerate(places)}
+        part, positions = positions[:most], positions[most:]
         try:
-            line = Driveline.from_study(first, varied)
+            alike(kinds[part])
+            first = replace_values(study, dict(zip(parameters, values[part[0]].tolist(), strict=True)))
+            line = Driveline.from_study(first, {place: values[part, k] for k, place in enumerate(places)})
             batches = [*_batches(first, line)]
         except UnlikeError as unlike:
             for some in unlike.parts:
-                yield from _prepare_alike(study, parameters, places, values, part[some])
+                yield from _prepare_alike(study, parameters, places, values, kinds, part[some])
         else:
             yield from ((part[some], batch) for some, batch in batches)
-        positions = positions[most:]
 
 
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:
