@@ -263,6 +263,11 @@ def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
     assert np.all(np.diff(durations) > -0.006)
 
 
+def test_of_a_quantity_whose_best_is_negative_no_bound_down_to_zero_is_another(brief):
+    (best,) = front(damped_ramp("severity", ["margin<=-0.01"]), "margin").points
+    assert best.quantities["margin"] < 0.0
+
+
 def test_an_interrupted_trade_off_hands_over_the_points_that_are_done(brief, monkeypatch):
     monkeypatch.setattr(optimisation, "_FRONT", 3)
     done = []

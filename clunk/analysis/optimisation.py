@@ -345,7 +345,7 @@ def optimize(
 
 
 def front(study: Study, quantity: str, **options: Any) -> Front:
-    """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
+    """Find the least value for each of several bounds on a quantity, from what the best has of it, if positive, down to 0.
 
     quantity : a number, such as severity; options : as of `optimize`
 
@@ -360,7 +360,7 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
         raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
     points = [best]
     try:
-        for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
+        for bound in np.unique(np.linspace(0.0, max(best.quantities[quantity], 0.0), _FRONT))[-2::-1]:
             bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
             found = optimize(study.but(optimize=bounded), shown=quantity, **options)
             if not found.holds:
