@@ -271,7 +271,7 @@ def test_columns_may_be_dotted_and_the_file_may_come_from_a_spreadsheet(tmp_path
     content = '\ufeff# Rig 2\r\n\r\nlabel, load.ratio ,driveline.shafts[3].damping\r\n"S(1)",2.5,1e-1\r\n,,\r\n'
     experiment = read_experiment(written(tmp_path, content))
     assert experiment.columns == ("load_ratio", "driveline_shafts_3__damping")
-    assert experiment.measurements == (Measurement(4, (2.5, 0.1), "SS(1)"),)
+    assert experiment.measurements == (Measurement(4, (2.5, 0.1), "SS(1)", {}, {}),)
     assert experiment.caveat == CAVEAT
 
 
@@ -321,8 +321,8 @@ def test_a_file_without_measurements_a_missing_one_and_a_directory_are_sentences
 
 
 def measured(points: dict[tuple[float, ...], str], columns: Sequence[str] = ("load_ratio", "lash_backlash_deg")) -> Any:
-    found = tuple(Measurement(k, values, label) for k, (values, label) in enumerate(points.items(), 2))
-    return Experiment("rig.csv", tuple(columns), found)
+    found = tuple(Measurement(k, values, label, {}, {}) for k, (values, label) in enumerate(points.items(), 2))
+    return Experiment("rig.csv", tuple(columns), found, CAVEAT)
 
 
 def test_each_point_is_compared_with_the_nearest_cell() -> None:

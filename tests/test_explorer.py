@@ -28,7 +28,7 @@ from clunk.explorer.newest import Newest
 from clunk.explorer.server import explore
 from clunk.explorer.subject import Subject
 from clunk.explorer.workbench import Workbench
-from clunk.plot.style import colour_of
+from clunk.plot.style import PlotError, colour_of
 from clunk.study.config import study_from_text
 from clunk.study.designs import of_one_cell
 from clunk.study.parameters import located
@@ -177,6 +177,13 @@ class TestPictures:
         colours = pixels(changes)
         assert colours[colours.shape[0] // 2, colours.shape[1] // 2] == colour_of(label)
         assert all(escape(label) in changes["legend"]["text"] for label in subject.results.label_map.ravel())
+
+    def test_where_every_cell_has_failed_the_legend_says_so_and_no_quantity_is_drawn(self):
+        of_one = '[solver]\nmethod = "exact"\nmax_events = 1\n' + axis("load.ratio", 2.0, 10.0, 5)
+        failed = sweep(study_from_text(NOMINAL + of_one))
+        assert "failed: 5 cells" in picture(failed, "regimes")["legend"]["text"]
+        with pytest.raises(PlotError, match=r"no severity to draw: .* in any cell; runs have failed in every cell"):
+            picture(failed, "severity")
 
 
 class TestRuns:

@@ -63,16 +63,16 @@ def is_traced(study: Study, asked: bool | None, lash: str | int | None) -> bool:
     """
     if asked is None:
         asked = study.swept.boundaries
+    if asked is False:
+        return False
     try:
-        if asked is not False:
-            require_boundaries(study)
+        require_boundaries(study)
     except ClunkError:
         if asked:
             raise
         return False
-    if asked is not False:
-        lash_position(lash, study.lash_names)
-    return asked is not False
+    lash_position(lash, study.lash_names)
+    return True
 
 
 def boundaries(

@@ -236,18 +236,17 @@ class Fitted(Record):
     @tells()
     def measured(self) -> list[Measured]:
         """Each measured label."""
-        rows = []
-        for k, (measurement, match) in enumerate(zip(self.experiment.measurements, self.estimate_matches, strict=True)):
-            rows.append(
-                Measured(
-                    at=dict(zip(self.axes, measurement.values, strict=True)),
-                    label=measurement.label,
-                    computed=self.labels[match["label"]],
-                    met_by_some=bool((self.matches["label"][:, k] == self.wanted[k]).any()),
-                    reason=self._reason(self.labels[self.wanted[k]], match),
-                )
+        pairs = enumerate(zip(self.experiment.measurements, self.estimate_matches, strict=True))
+        return [
+            Measured(
+                at=dict(zip(self.axes, measurement.values, strict=True)),
+                label=measurement.label,
+                computed=self.labels[match["label"]],
+                met_by_some=bool((self.matches["label"][:, k] == self.wanted[k]).any()),
+                reason=self._reason(self.labels[self.wanted[k]], match),
             )
-        return rows
+            for k, (measurement, match) in pairs
+        ]
 
     @property
     @tells("not met by the best candidate")

@@ -23,7 +23,6 @@ import numpy as np
 
 from clunk.analysis.fitted import FAR, Fitted, effective_size, losses, weights_of
 from clunk.analysis.measurements import IMPACT_QUANTITIES, Experiment, read_experiment
-from clunk.core.sequence import label
 from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
 from clunk.results.maps import Results
 from clunk.results.quantities import measuring
@@ -82,7 +81,7 @@ class Candidates:
         self.experiment, self.lash, self._engine, self._progress = experiment, lash, engine, progress
         self.axes = axes_of(study, experiment)
         self.points = np.array([each.values for each in experiment.measurements])
-        measured = [label(flanks_of_label(each.label)) for each in experiment.measurements]  # as runs have them
+        measured = [each.label for each in experiment.measurements]  # as runs have them
         self.labels = [*dict.fromkeys(measured)]
         self.wanted = np.array([*map(self.labels.index, measured)])
         self.coordinates = np.zeros((0, len(self.priors)))

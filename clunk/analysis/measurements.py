@@ -2,11 +2,10 @@
 
 import csv
 import math
-import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -42,8 +41,8 @@ class Measurement:
     line: int
     values: tuple[float, ...]
     label: str
-    impacts: Mapping[str, Mapping[int, float]] = field(default_factory=dict)
-    std: Mapping[str, float] = field(default_factory=dict)
+    impacts: Mapping[str, Mapping[int, float]]
+    std: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Experiment:
     name: str
     columns: tuple[str, ...]
     measurements: tuple[Measurement, ...]
-    caveat: str = CAVEAT
+    caveat: str
 
 
 TABLES = {"table_4_1": files(__package__) / "table_4_1.csv"}  # the report's, which come with clunk
@@ -81,8 +80,8 @@ def read_experiment(path: FilePath) -> Experiment:
 
     Raises ClunkError where the file cannot be read, with the number of the line that is wrong.
     """
-    if os.fspath(path) in TABLES and not Path(path).exists():
-        return experiment_of(TABLES[os.fspath(path)].read_text("utf-8"), path)
+    if str(path) in TABLES and not Path(path).exists():
+        return experiment_of(TABLES[str(path)].read_text("utf-8"), path)
     known = f"; the experiments that come with clunk are: {', '.join(TABLES)}."
     return experiment_of(read_text(path, "an experiment", "a CSV file", known), path)
 

@@ -106,8 +106,11 @@ class Sensitivity(Record):
     def at(self) -> dict[str, float]:
         """The operating point: load and backlash, by parameter, in their units."""
         load = self.study.load
-        keys = [f"load.{key}" for key in PROFILES[load.profile].keys if isinstance(getattr(load, key), float)]
-        keys = [key for key in keys if key != "load.static_torque"]
+        keys = [
+            f"load.{key}"
+            for key in PROFILES[load.profile].keys
+            if key != "static_torque" and isinstance(getattr(load, key), float)
+        ]
         keys += [dotted((*place, "backlash_deg")) for place in self.study.lash_places]
         return {key: nominal_value(self.study, key) for key in keys}
 

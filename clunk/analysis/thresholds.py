@@ -225,7 +225,11 @@ def thresholds(
     [(2.522, 10.0)]
     """
     along_axis, axes = axes_of(study, along)
-    position, outcome = lash_position(lash, study.lash_names), parse(of, study)
+    position, outcome = lash_position(lash, study.lash_names), quantity_of(of, study)
+    if outcome.type == NUMBER:
+        raise ClunkError(f"{outcome.name} changes everywhere; give a bound, as in severity<=8000.")
+    if outcome.name == NOMINAL:
+        raise ClunkError(f"{NOMINAL} has no thresholds; name the label, as in label=DS(1)SS(1).")
     design = Design(axes)
     tolerances = study.swept.tolerances
     drawn = drawn_numbers(study, tolerances)
@@ -265,16 +269,6 @@ def thresholds(
         failures=point_runs.failures,
         lash=study.lash_names[position] if len(study.lashes) > 1 else "",
     )
-
-
-def parse(of: str, study: Study) -> Quantity:
-    """The quantity that a text names. Raises ClunkError where it has no thresholds."""
-    quantity = quantity_of(of, study)
-    if quantity.type == NUMBER:
-        raise ClunkError(f"{quantity.name} changes everywhere; give a bound, as in severity<=8000.")
-    if quantity.name == NOMINAL:
-        raise ClunkError(f"{NOMINAL} has no thresholds; name the label, as in label=DS(1)SS(1).")
-    return quantity
 
 
 def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...]]:

@@ -70,10 +70,8 @@ def main() -> NoReturn:
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "clunk"
         terminal.complain(f"{error.format_message()}\nTry '{command} --help'.")
-        sys.exit(EXIT_USAGE)
     except click.ClickException as error:
         terminal.complain(error.format_message())
-        sys.exit(EXIT_USAGE)
     except (click.Abort, KeyboardInterrupt) as stopped:
         _tell_notes(stopped.__cause__ or stopped)
         terminal.complain("interrupted")
@@ -86,11 +84,11 @@ def main() -> NoReturn:
     except ClunkError as error:
         terminal.complain(str(error))
         _tell_notes(error)
-        sys.exit(EXIT_USAGE)
     except OSError as error:  # of a name that is too long for a file, for example
         terminal.complain(f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.")
-        sys.exit(EXIT_USAGE)
-    sys.exit(0)
+    else:
+        sys.exit(0)
+    sys.exit(EXIT_USAGE)
 
 
 def _tell_notes(stopped: BaseException) -> None:

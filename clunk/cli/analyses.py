@@ -290,13 +290,8 @@ def thresholds(
         f"{counted(located.value.size, 'threshold')} in {counted(located.lowest.size, cells)}, {located.runs:,} runs"
     )
     if output is not None and is_picture:
-        if is_toleranced:
-            figure = plot.threshold_figure(
-                result, analysis.thresholds(nominal(study), along=along, of=outcome, **options)
-            )
-        else:
-            figure = plot.threshold_figure(located)
-        terminal.save_picture(figure, output)
+        without = analysis.thresholds(nominal(study), along=along, of=outcome, **options) if is_toleranced else None
+        terminal.save_picture(plot.threshold_figure(result, without), output)
     elif output is not None:
         rows = json.dumps(result.rows(), ensure_ascii=False) + "\n"
         files.write_text(output, result.csv() if output.suffix.lower() == ".csv" else rows)

@@ -57,10 +57,12 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
     if output is not None:
         from clunk.plot.analyses import difference_map, experiment_map
 
-        draw, first, drawn = experiment_map if other is None else difference_map, results.of_lash(), comparison
-        if other is not None and results.lashes:
-            drawn = compare_maps(first, other.of_lash())
-        terminal.save_picture(draw(first, drawn), output)
+        first = results.of_lash()
+        if other is None:
+            figure = experiment_map(first, comparison)
+        else:
+            figure = difference_map(first, compare_maps(first, other.of_lash()))
+        terminal.save_picture(figure, output)
     if expect_equal and not comparison.same_regimes:
         sys.exit(EXIT_MISMATCH)
 

@@ -1,17 +1,11 @@
 """`clunk explore`: a page in the browser with a map and the motion in the cell that is pointed at."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from clunk.cli import terminal
 from clunk.cli.options import PATH, set_option
-
-if TYPE_CHECKING:
-    from clunk.results.maps import AnyMap
 
 
 @click.command()
@@ -31,7 +25,25 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
     """
     from clunk.explorer.server import explore as serve
 
-    results = _results_of(source, overrides)
+    if source.suffix == ".h5":
+        from clunk.results.store import read_map
+
+        if overrides:
+            raise click.UsageError("--set goes with a config; on the page, the numbers of a file have sliders.")
+        results = read_map(source)
+    else:
+        from clunk.study.config import load_study
+        from clunk.study.designs import nominal, of_one_cell
+        from clunk.sweeping.sweep import Job
+
+        study = load_study(source, overrides)
+        if study.swept.tolerances:
+            study = nominal(study)
+            terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
+        if not (study.swept.axes or study.swept.samples):
+            study = of_one_cell(study)
+        terminal.warn(study)
+        results = Job(study).run(progress=True)
     explorer = serve(results, name=source.stem, port=port or 0, browser=False)
     click.echo(explorer.url)
     click.echo("Ctrl-C ends it", err=True)
@@ -41,25 +53,3 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
         explorer.wait()
     except KeyboardInterrupt:
         explorer.stop()
-
-
-def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
-    """The results of a file, or of a config that is swept now."""
-    if source.suffix == ".h5":
-        from clunk.results.store import read_map
-
-        if overrides:
-            raise click.UsageError("--set goes with a config; on the page, the numbers of a file have sliders.")
-        return read_map(source)
-    from clunk.study.config import load_study
-    from clunk.study.designs import nominal, of_one_cell
-    from clunk.sweeping.sweep import Job
-
-    study = load_study(source, overrides)
-    if study.swept.tolerances:
-        study = nominal(study)
-        terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
-    if not (study.swept.axes or study.swept.samples):
-        study = of_one_cell(study)
-    terminal.warn(study)
-    return Job(study).run(progress=True)

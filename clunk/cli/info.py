@@ -22,7 +22,6 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     Example: clunk info results/figure_3_4.h5 --check
     """
     from clunk.results import store
-    from clunk.study.loads import PROFILES, numbers
 
     results = store.read_map(file)
     boundaries = results.boundaries
@@ -44,10 +43,8 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         tables.print_record(record)
         return
     rows = [*results.summary()]
-    load = results.setting("load")
-    if load is not None:
-        swept = [axis.parameter.removeprefix("load.") for axis in results.parameters]
-        rows.append(("load", ", ".join([PROFILES[load["profile"]].name, *numbers(load, swept)])))
+    if load := results.load_phrase():
+        rows.append(("load", load))
     rows.append(("config", f"{results.config_digest[:16]}…"))
     rows += [(name.removesuffix("_version"), value) for name, value in results.attributes.items()]
     if check:

@@ -50,7 +50,6 @@ def study_argument(command: Callable[..., None]) -> Callable[..., None]:
 
 at_option = click.option(
     "--at",
-    "at",
     multiple=True,
     metavar="KEY=VALUE",
     help="Value of a swept key, the nearest that its axis has. May be repeated.",

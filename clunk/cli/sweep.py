@@ -103,23 +103,21 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
             terminal.complain(traced.boundaries.unresolved_sentence)
 
 
-def _report(result: AnyMap, job: Job, as_json: bool) -> int:
-    """Print a finished map; returns how many cells, or runs of a tolerance map, have failed."""
+def _report(result: AnyMap, job: Job, as_json: bool) -> bool:
+    """Print a finished map; returns whether any run has failed."""
     from clunk.results.maps import ToleranceMap
 
+    draws = result.draws if isinstance(result, ToleranceMap) else 0
     if as_json:
-        cells = {} if isinstance(result, ToleranceMap) else {"cells": job.design.cells}
+        cells = {} if draws else {"cells": job.design.cells}
         head = {"file": job.path, "seconds": round(job.seconds, 3)} | cells
         tables.print_record(head | tables.outcomes(result))
     else:
         tables.print_outcomes(result)
-    draws = result.draws if isinstance(result, ToleranceMap) else 0
-    first = result.of_lash()  # all lashes of a cell fail together
-    failed = first.failed if isinstance(first, ToleranceMap) else (first.status != 0).sum()
     if job.held is None:
         each = f" x {draws:,} draws" if draws else ""
         terminal.complain(f"{counted(job.ran, 'cell')}{each} in {job.seconds:.1f} s")
     terminal.report_failures(result, " for some draws" if draws else "")
     for caveat in result.caveats:
         terminal.complain(f"note: {caveat}")
-    return failed
+    return bool((result.status != 0).any())

@@ -96,7 +96,7 @@ class Controls:
         values, own = axis.values, math.nan if axis.parameter == RUN else nominal_value(self._study, axis.parameter)
         first = own if values.min() <= own <= values.max() else values[len(values) // 2]
 
-        title = title_of(axis.name or axis.parameter, axis.symbol, axis.unit)
+        title = title_of(axis.name, axis.symbol, axis.unit)
         limits = 0, len(values) - 1, 1
         self._add_row(
             axis.parameter,

@@ -61,7 +61,7 @@ class Message:
     """
 
     def __init__(self, models: Mapping[str, Model]) -> None:
-        self.source = ColumnDataSource(data={})
+        self.source = ColumnDataSource()
         self.source.js_on_change("data", CustomJS(args={"models": models}, code=_CHANGE))
 
     def send(self, changes: Changes) -> None:
@@ -88,7 +88,7 @@ class MapFigure:
         self._axes = axes
         look: dict[str, Any] = {}
         for which, axis in zip("xy", axes, strict=False):
-            look[f"{which}_axis_label"] = title_of(capital(axis.name or axis.parameter), axis.symbol, axis.unit)
+            look[f"{which}_axis_label"] = title_of(capital(axis.name), axis.symbol, axis.unit)
             look[f"{which}_axis_type"] = "log" if axis.is_geometric else "linear"
             low, high = float(axis.values.min()), float(axis.values.max())
             look[f"{which}_range"] = Range1d(low, high, bounds=(low, high))
@@ -195,7 +195,7 @@ class MapFigure:
 
 def title_of(name: str, symbol: str, unit: str) -> str:
     """A quantity with its short symbol and its unit."""
-    return " ".join(part for part in (name, bare(symbol), f"[{unit}]" if unit not in ("", "1") else "") if part)
+    return " ".join(part for part in (name, bare(symbol), f"[{unit}]" if unit != "1" else "") if part)
 
 
 def _legend(layers: Layers) -> str:
@@ -205,7 +205,7 @@ def _legend(layers: Layers) -> str:
     for note in layers.legend(layers.seen):
         colour = square.format(note.colour) if note.colour else ""
         entries.append(f'<span style="white-space: nowrap">{colour}{escape(note.text)}</span>')
-    if layers.values.size and (layers.quantity.type != YES_NO or layers.shaded):
+    if np.isfinite(layers.values).any() and (layers.quantity.type != YES_NO or layers.shaded):
         at = np.unravel_index(np.nanargmax(layers.values), layers.values.shape)
         place = (value_text(axis, axis.values[k], symbol=True) for axis, k in zip(layers.view.axes, at, strict=True))
         entries.append(escape(f"largest: {layers.values[at]:.6g} at {', '.join(place)}"))
@@ -291,9 +291,9 @@ class RunFigures:
         acceleration.text("x", "high", "text", source=arrows, **above, **_TEXT)
         for name in ("start", "end"):
             self._time.on_change(name, self._on_zoom)
-        own = {"time": self._time, "gap": gap, "curves": self._curves, "arrows": arrows}
-        own |= {"flanks": flanks, "touches": touches, **{name: each.y_range for name, each in self.figures.items()}}
-        own |= {"header": self.header, "compared": self.compared, "events": self.events}
+        own = {"time": self._time, "gap": gap, "curves": self._curves, "flanks": flanks, "touches": touches}
+        own |= {"arrows": arrows, "header": self.header, "compared": self.compared, "events": self.events}
+        own |= {name: each.y_range for name, each in self.figures.items()}
         self.message = Message({**models, **own})
 
     def _figure(self, panel: _Panel) -> Any:

@@ -56,8 +56,7 @@ class _Headers(OutputTransform):
     ) -> tuple[int, HTTPHeaders, bytes]:
         for name in [name for name in headers if name.startswith("Access-Control")]:
             del headers[name]  # with which Bokeh would let pages of any origin read one of its scripts
-        for name, value in _HEADERS.items():
-            headers[name] = value
+        headers.update(_HEADERS)
         return status_code, headers, chunk
 
 

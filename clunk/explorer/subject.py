@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
-import numpy as np
-
 from clunk.analysis.boundaries import with_boundaries
 from clunk.plot.plane import parted_axes
 from clunk.results.labels import FAILED
@@ -89,7 +87,7 @@ class Subject:
             swept = swept.but(tolerances=whole.tolerances, sampling=whole.sampling)
         drawn = {each.parameter for each in swept.samples}
         kept = {key: value for key, value in self.values(cell).items() if key not in drawn}
-        return to_toml(replace_values(self.study.but(sweep=None), {**kept, **numbers}).but(sweep=swept))
+        return to_toml(replace_values(self.study, {**kept, **numbers}).but(sweep=swept))
 
     def maps(self, slices: Numbers, numbers: Numbers, lash: str, progress: Progress) -> Iterator[AnyMap]:
         """Yield the map with other numbers, better and better: every few values, all of them, and with its lines.
@@ -98,12 +96,8 @@ class Subject:
         """
         study = self._study_of_map(slices, numbers)
         if not self._has_runs and any(len(axis) > _COARSE for axis in self.plane):
-            axes = []
-            for axis in design_of(study).axes:
-                last = len(axis) - 1
-                few = np.unique(np.rint(np.linspace(0, last, min(last + 1, _COARSE))).astype(np.intp))
-                axes.append(replace(axis, values=axis.values[few]))
-            yield sweep(study, Design(tuple(axes)), progress=progress)
+            axes = tuple(replace(axis, values=axis.few(_COARSE)) for axis in design_of(study).axes)
+            yield sweep(study, Design(axes), progress=progress)
         full = sweep(study, progress=progress)
         full = full.at(slices) if self._has_runs else full
         yield full
@@ -123,8 +117,7 @@ class Subject:
         return any(axis.parameter == RUN for axis in self._axes)
 
     def _study_at(self, cell: Numbers, numbers: Numbers) -> Study:
-        alone = self.study.but(sweep=None)
-        return replace_values(alone, {**self.values(cell), **numbers})
+        return replace_values(self.study.but(sweep=None), {**self.values(cell), **numbers})
 
     def _study_of_map(self, cell: Numbers, numbers: Numbers) -> Study:
         """The study whose sweep is the map that is shown, at a cell's values of the other axes."""
@@ -132,7 +125,7 @@ class Subject:
         fixed = {key: value for key, value in self.values(cell).items() if key not in shown}
         if self._has_runs:
             fixed = {axis.parameter: fixed[axis.parameter] for axis in self._axes if axis.parameter in fixed}
-        study = replace_values(self.study.but(sweep=None), {**fixed, **numbers})
+        study = replace_values(self.study, {**fixed, **numbers})
         axes = tuple(axis for axis in self.study.swept.axes if axis.parameter in shown)
         return study.but(sweep=self.study.sweep if self._has_runs else Sweep(axes=axes))
 

@@ -91,7 +91,8 @@ class Workbench:
 
         results = subject.results
         # over one axis, labels are the colours under a curve
-        described = list(_quantities(results).items())[len(subject.plane) == 1 :]
+        known = [*quantities_of(results).items()][len(subject.plane) == 1 :]
+        described = [(name, "regimes" if each.type == TEXT else results.plot_label(each)) for name, each in known]
         first = described[0][0] if len(subject.plane) > 1 else hardness(results)
         names = results.lash_names
         self._quantity = Select(value=first, options=described, name="quantity", visible=bool(subject.plane), width=260)
@@ -102,9 +103,9 @@ class Workbench:
         self._status = Div(text="…", name="status", render_as_text=True, height=20, styles=one_line, **WIDE)
         self._figures = RunFigures(subject.study.load.step_time, {"status": self._status, **models})
         self._message = self._figures.message
-        self._keys = ColumnDataSource(data={"key": [], "steps": []})
-        self._link = ColumnDataSource(data={})
-        self._download = ColumnDataSource(data={}, name="download")
+        self._keys = ColumnDataSource()
+        self._link = ColumnDataSource()
+        self._download = ColumnDataSource(name="download")
 
         self._newest_run = Newest("run", self._complain_soon)
         self._newest_map = Newest("map", self._complain_soon)
@@ -217,7 +218,9 @@ class Workbench:
                 cell.append(float(values[np.clip(at, 0, len(values) - 1)]))
             self._select(tuple(cell))
         elif key == "p":
-            self._pin_run()
+            if self._run is not None:
+                self._pins = [*self._pins, self._run][-_PINS:]
+                self._show_runs()
         elif key == "f":
             self._follows = not self._follows
             self._hover(None)
@@ -229,11 +232,6 @@ class Workbench:
         self._keep_link()
         self._request_map()
         self._show_runs()
-
-    def _pin_run(self) -> None:
-        if self._run is not None:
-            self._pins = [*self._pins, self._run][-_PINS:]
-            self._show_runs()
 
     def _save(self) -> None:
         """Hand the browser the config of what is shown as a download."""
@@ -376,9 +374,3 @@ def _box(direction: str, *elements: UIElement, **styles: str) -> Pane:
     """
     names = {name.replace("_", "-"): value for name, value in styles.items()}
     return Pane(elements=list(elements), styles={"display": "flex", "flex-direction": direction, **names})
-
-
-def _quantities(results: AnyMap) -> dict[str, str]:
-    """Quantities of results that can be drawn, with their names for people."""
-    known = quantities_of(results).items()
-    return {name: "regimes" if each.type == TEXT else results.plot_label(each) for name, each in known}

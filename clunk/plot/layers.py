@@ -19,7 +19,7 @@ from clunk.results.maps import CERTAIN, AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, TEXT, WHY_UNDEFINED, YES_NO, Quantity, quantity_of
 from clunk.study.arrays import Array, Bools, Floats, LabelCodes
 from clunk.study.axes import ResultAxis
-from clunk.study.loads import PROFILES, STEP_KEYS, numbers
+from clunk.study.loads import STEP_KEYS
 from clunk.study.records import counted
 
 MOST_LABELS = 16  # that are told apart: more are grouped by their number of double-sided impacts
@@ -104,7 +104,7 @@ class Layers:
         is_label = described.type == TEXT
         values = np.zeros(0) if is_label else view.arrange(described.of_runs(drawn))
         if not is_label and not is_strip and np.isnan(values).all():
-            why = WHY_UNDEFINED.get(described.name, "")
+            why = "; runs have failed in every cell" if drawn.status.all() else WHY_UNDEFINED.get(described.name, "")
             raise PlotError(f"There is no {described.name} to draw: it is not defined in any cell{why}.")
         codes = view.arrange(drawn.sequence)
         undecided, draws = np.zeros(codes.shape, bool), ""
@@ -114,7 +114,7 @@ class Layers:
             undecided = (view.arrange(drawn.quality) & QUALITY_UNDECIDED) != 0
         layers = cls(
             title=drawn.title.strip() or "Impact regimes",
-            load=_load_phrase(drawn),
+            load=drawn.load_phrase(STEP_KEYS),
             view=view,
             quantity=described,
             names=labels,
@@ -159,11 +159,11 @@ class Layers:
 
     def _looks_of(self, whole: Floats) -> dict[float, tuple[str, str]]:
         """Name and colour of each of these values of the quantity."""
-        names = ("no", "yes") if self.quantity.type == YES_NO else [f"{value:g}" for value in range(1 + int(whole[-1]))]
-        if self.quantity.name == "double_sided_impacts":
-            return {value: (names[int(value)], group_colour(int(value))) for value in whole.tolist()}
-        tints = zip(whole.tolist(), shades(whole.size), strict=True)
-        return {value: (names[int(value)], colour) for value, colour in tints}
+        counts = whole.astype(int).tolist()
+        names = [("no", "yes")[count] if self.quantity.type == YES_NO else str(count) for count in counts]
+        is_grouped = self.quantity.name == "double_sided_impacts"
+        tints = map(group_colour, counts) if is_grouped else shades(whole.size)
+        return dict(zip(whole.tolist(), zip(names, tints, strict=True), strict=True))
 
     def _regrouped(self, numbers: Array, looks: Mapping[float, tuple[str, str]], fact: str) -> "Layers":
         """The layers with a region for all labels with the same number, marked where two of these meet.
@@ -329,15 +329,6 @@ def hardness(drawn: AnyMap) -> str:
     if np.isfinite(quantity_of("severity", drawn).of_runs(drawn)).any():
         return "severity"
     return "double_sided" if isinstance(drawn, ToleranceMap) else "approach_velocity"
-
-
-def _load_phrase(drawn: AnyMap) -> str:
-    """The load in words: an ideal step is a worst case, and a reader should know."""
-    load = drawn.setting("load") or {}
-    if load.get("profile") not in PROFILES:
-        return ""
-    swept = [each.parameter.removeprefix("load.") for each in drawn.parameters]
-    return ", ".join([PROFILES[load["profile"]].name, *numbers(load, without=[*STEP_KEYS, *swept])])
 
 
 def _lines_between(codes: LabelCodes, x: Floats, y: Floats) -> list[Floats]:

@@ -172,10 +172,7 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
             f"A facet is an axis of several values, or two are rows and columns; these are {', '.join(changing)}."
         )
     axes = [changing[facet] for facet in facets]
-    values = []
-    for axis in axes:
-        count = min(MOST_VALUES[len(axes) - 1], len(axis))
-        values.append(np.sort(axis.values)[np.rint(np.linspace(0, len(axis) - 1, count)).astype(np.intp)])
+    values = [axis.few(MOST_VALUES[len(axes) - 1]) for axis in axes]
     places = list(product(*values))
     most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
     parts = [results.at(dict(zip(facets, place, strict=True))) for place in places]

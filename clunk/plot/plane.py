@@ -210,11 +210,11 @@ def number_text(value: float) -> str:
 
 def _unit(axis: ResultAxis) -> str:
     """An axis's unit after a space, or nothing where it has none."""
-    return "" if axis.unit in ("", "1") else f" {axis.unit}"
+    return "" if axis.unit == "1" else f" {axis.unit}"
 
 
 def axis_label(axis: ResultAxis) -> str:
     """An axis's name, symbol and unit."""
     unit = f"[{axis.unit}]" if _unit(axis) else ""
-    parts = plain(capital(axis.name or axis.parameter)), symbol_text(axis.symbol), plain(unit)
+    parts = plain(capital(axis.name)), symbol_text(axis.symbol), plain(unit)
     return " ".join(part for part in parts if part)

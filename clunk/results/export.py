@@ -88,7 +88,7 @@ def save_history(path: FilePath, history: History) -> None:
     for quantity, unit in (("theta", "rad"), ("theta_dot", "rad_per_s"), ("theta_ddot", "rad_per_s2")):
         names += [f"{quantity}_{inertia}_{unit}" for inertia in range(1, history.angle.shape[1] + 1)]
     names += ["torque_Nm", *(f"backlash_coordinate{suffix}_m" for suffix in suffixes)]
-    names += [*(f"contact{suffix}" for suffix in suffixes), "event", *(["lash"] if several else []), "flank"]
+    names += [*(f"contact{suffix}" for suffix in suffixes), "event", *["lash"] * several, "flank"]
     numbers = (history.time, history.after_step, history.angle, history.velocity, history.acceleration)
     columns = np.column_stack((*numbers, history.torque, history.backlash_coordinates)).tolist()
     events = [_event(trajectory, k) if k >= 0 else [""] * (2 + several) for k in history.event.tolist()]
@@ -103,8 +103,7 @@ def _event(trajectory: Trajectory, k: int) -> list[str]:
     if trajectory.events["kind"][k] == TOUCH:
         is_primary = any(k in each.primaries for each in trajectory.lashes)
         name = f"{'primary' if is_primary else 'secondary'} {name}"
-    lash = [trajectory.lash_name(k)] if len(trajectory.lashes) > 1 else []
-    return [name, *lash, trajectory.flank_name(k)]
+    return [name, *[trajectory.lash_name(k)] * (len(trajectory.lashes) > 1), trajectory.flank_name(k)]
 
 
 def _texts(quantity: Quantity | None, values: Array, labels: tuple[str, ...]) -> list[Any]:

@@ -33,6 +33,7 @@ from clunk.study.axes import LASH, ResultAxis
 from clunk.study.designs import Design
 from clunk.study.document import value_at
 from clunk.study.errors import ClunkError
+from clunk.study.loads import PROFILES, numbers
 from clunk.study.models import lash_name, lash_position
 from clunk.study.parameters import numbered
 from clunk.study.records import Rows, as_text, counted, percent
@@ -111,6 +112,14 @@ class Map(Design, ABC):
     def setting(self, key: str) -> Any:
         """Value of a dotted key of the resolved config; None where it has none."""
         return value_at(self.tables, tuple(key.split(".")))
+
+    def load_phrase(self, without: Sequence[str] = ()) -> str:
+        """The load in words, but for these of its keys and for what is swept: an ideal step is a worst case."""
+        load = self.setting("load") or {}
+        if load.get("profile") not in PROFILES:
+            return ""
+        swept = [axis.parameter.removeprefix("load.") for axis in self.parameters]
+        return ", ".join([PROFILES[load["profile"]].name, *numbers(load, [*without, *swept])])
 
     def __getattr__(self, name: str) -> Array:
         """A quantity's array."""

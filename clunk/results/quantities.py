@@ -35,7 +35,7 @@ import csv
 import math
 import operator
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -251,7 +251,12 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     words = _REQUEST.fullmatch(text)
     name, relation, bound = words.groups("") if words else (text, "", "")
     if name not in known:
-        raise no_quantity(text, [*known, *["severity<=8000"] * (not is_drawn), "label=DS(1)SS(1)"], name)
+        names = [*known, *["severity<=8000"] * (not is_drawn), "label=DS(1)SS(1)"]
+        likely = nearest(name, names)
+        hint = f"; did you mean {likely}?" if likely else "."
+        if name in OF_IMPACTS and "margin" in known:  # else it is a tolerance map, which has none of them
+            hint = f"; impacts.quantities = [{name!r}] in the config measures it."
+        raise ClunkError(f"There is no quantity {shorten(text)} here; there are {listing(names)}{hint}")
     if (
         isinstance(source, Study)
         and name in WHY_UNDEFINED
@@ -289,16 +294,6 @@ def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | No
         if math.isfinite(number) and (quantity.type != YES_NO or is_whether) and quantity.name != NOMINAL:
             return number
     return None
-
-
-def no_quantity(text: str, known: Collection[str], name: str = "") -> ClunkError:
-    """Error for a quantity that is not among the known ones; name : without what it is compared with."""
-    name = name or text.strip()
-    likely = nearest(name, known)
-    hint = f"; did you mean {likely}?" if likely else "."
-    if name in OF_IMPACTS and "margin" in known:  # else it is a tolerance map, which has none of them
-        hint = f"; impacts.quantities = [{name!r}] in the config measures it."
-    return ClunkError(f"There is no quantity {shorten(text)} here; there are {listing([*known])}{hint}")
 
 
 def measuring(study: Study, quantities: Iterable[Quantity]) -> Study:

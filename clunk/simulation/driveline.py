@@ -4,7 +4,7 @@ M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing a lash adds a spring
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 
 import numpy as np
@@ -61,9 +61,9 @@ class Driveline:
     contact_stiffnesses: FloatArray  # (L,)  N m/rad, of the closed lash: r² k34; 0 of rigid flanks without one
     contact_dampings: FloatArray  # (L,)  N m s/rad, r² c34
     load: FloatArray  # (n,)  1 at the loaded inertia
-    staged: tuple[tuple[int, StagedShaft], ...] = ()  # shafts with stages, each with its row
-    shaft_friction: FloatArray = field(default_factory=lambda: np.zeros(0))  # (S,)  N m, or none
-    varied: Varied = field(default_factory=dict)
+    staged: tuple[tuple[int, StagedShaft], ...]  # shafts with stages, each with its row
+    shaft_friction: FloatArray  # (S,)  N m, or none
+    varied: Varied
 
     @classmethod
     def from_study(cls, study: Study, varied: Varied | None = None) -> "Driveline":
@@ -271,7 +271,7 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
         wave_rates=np.array([[0.0, 1.0], [0.0, 0.0]]) if is_ramp and not ramps else rates,
         ramps=is_ramp and ramps,
         staged=staged,
-        loose=[driveline.in_stages(each).rigid_motion.shape.shape[-1] > motions for each in stages_of(staged)],
+        loose=[driveline.in_stages(each).rigid_motion.shape.shape[-1] > motions for each in stages_of(driveline)],
         frictions=frictions,
         rubs=any(rigid.rubs(each, driveline.rigid_motion) for each in frictions),
     )
@@ -302,14 +302,12 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
 
 def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[FloatArray, FloatArray]]:
     """Damping and stiffness in each flow, without its constraints."""
-    staged = [shaft for _, shaft in driveline.staged]
-    flows = flows_of(len(study.lashes), staged, len(driveline.frictions))
 
     @cache
     def matrices_of(stages: tuple[int, ...], closed: tuple[int, ...] | bool) -> tuple[FloatArray, FloatArray]:
         return driveline.in_stages(stages).matrices(closed=closed)
 
-    return {each: matrices_of(each.stages, _in_contact(study, each)) for each in flows}
+    return {each: matrices_of(each.stages, _in_contact(study, each)) for each in flows_of(driveline)}
 
 
 def _in_contact(study: Study, flow: tables.FlowOf) -> tuple[int, ...] | bool:
@@ -343,7 +341,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
             line = replace(line, shafts=product(line.shafts, basis), lashes=product(line.lashes, basis))
             matrices = line.matrices(closed=_in_contact(study, flow))
         chains.append(Chain(inertias, *matrices, *ties, parts))
-    held = held_inputs(len(study.lashes), len(rubbing), system.inputs.shape[-1])
+    held = held_inputs(driveline, system)
     system = system if driveline.varied else driveline_at(system, None)
     # no ramp that is no input
     states = slice(system.rates.shape[-1] if study.load.profile in WAVES else 2 * system.inertias)
@@ -373,23 +371,24 @@ def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Ch
     ]
 
 
-def held_inputs(lashes: int, frictions: int, inputs: int) -> list[int]:
-    """The inputs that are the twists at which constraints hold: of `inputs`, those of each lash and friction."""
+def held_inputs(driveline: Driveline, system: System) -> list[int]:
+    """The inputs of a system that are twists at which constraints hold: those of each lash and of each friction."""
+    inputs = system.inputs.shape[-1]
     return [
-        *map(tables.half_gap_of, range(lashes)),
-        *(inputs - tables.OF_FRICTION * k + 1 for k in range(frictions, 0, -1)),
+        *map(tables.half_gap_of, range(driveline.lashes.shape[-2])),
+        *(inputs - tables.OF_FRICTION * k + 1 for k in range(len(driveline.frictions), 0, -1)),
     ]
 
 
-def stages_of(staged: Sequence[StagedShaft]) -> list[tuple[int, ...]]:
+def stages_of(driveline: Driveline) -> list[tuple[int, ...]]:
     """The combinations of stages, one for each shaft, in the order in which regimes have them."""
-    return tables.combinations([shaft.stiffness.shape[-1] for shaft in staged])
+    return tables.combinations([shaft.stiffness.shape[-1] for _, shaft in driveline.staged])
 
 
-def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list[tables.FlowOf]:
+def flows_of(driveline: Driveline) -> list[tables.FlowOf]:
     """The flows of a driveline in the order of their numbers."""
-    shafts = lashes + len(staged)
-    every = tables.combinations([2] * lashes + [shaft.stiffness.shape[-1] for shaft in staged] + [2] * frictions)
+    lashes, stages = driveline.lashes.shape[-2], [shaft.stiffness.shape[-1] for _, shaft in driveline.staged]
+    every, shafts = tables.combinations([2] * lashes + stages + [2] * len(driveline.frictions)), lashes + len(stages)
     return [tables.FlowOf(active[:lashes], active[lashes:shafts], active[shafts:]) for active in every]
 
 
@@ -400,9 +399,7 @@ def steady_stages(study: Study) -> dict[int, int]:
         return {}
     system = build(study, driveline)
     rest = preload(system, run_load(study)[0])
-    stages = stages_of([shaft for _, shaft in driveline.staged])[
-        rest.regime // system.regime_strides[len(driveline.lashes)]
-    ]
+    stages = stages_of(driveline)[rest.regime // system.regime_strides[len(driveline.lashes)]]
     return {k + 1: stage + 1 for (k, _), stage in zip(driveline.staged, stages, strict=True)}
 
 

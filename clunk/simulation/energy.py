@@ -79,7 +79,7 @@ class EnergyBalance(Record):
     @tells("residual over the largest energy", form=".1e")
     def relative_residual(self) -> float:
         """The residual's size relative to the largest term; 0 for a driveline without any energy."""
-        return abs(self.residual) / self.largest if self.largest != 0.0 else abs(self.residual)
+        return abs(self.residual) / (self.largest or 1.0)
 
     @property
     def _terms(self) -> tuple[float, ...]:
@@ -123,7 +123,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     work, damped, rubbed, x = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts)), states[0]
     squares = np.zeros((len(rows), *system.rates.shape[1:]))  # F of each damper: its speed = row · θ'
     squares[:, :n, :n] = rows[:, :, None] * rows[:, None, :]
-    held = held_inputs(len(line.lashes), len(line.frictions), system.weights.shape[1])
+    held = held_inputs(line, system)
     torques = [twist - 1 for twist in held[len(line.lashes) :]]
     for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
         times = event["time"], end

@@ -285,7 +285,7 @@ def _after_event(
     while not is_event[first] and starts[first - 1] == starts[k]:
         first -= 1
     event = is_event[:first].sum() if is_event[first] else -1
-    for _, begin, until, regime, x in stretches(system, before, load, number, recorded[k], *times):
+    for begin, until, regime, x in stretches(system, before, load, number, recorded[k], *times):
         within = _grid(begin, until, step)
         sampled, parts = [np.array([begin]), within * step], [x[None]]
         if within.size:

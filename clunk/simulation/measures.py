@@ -27,7 +27,7 @@ def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
     n, lashes = systems.inertias, line.lashes.shape[-2]
     count, _, size, driven = systems.inputs.shape
     staged = [shaft for shaft, _ in line.staged]
-    flows = flows_of(lashes, [shaft for _, shaft in line.staged], len(line.frictions))
+    flows = flows_of(line)
     rows = np.zeros((count, len(flows), OF_LASH * lashes + len(study.measures), size + driven))
 
     def set_shaft_torque(row: Floats, k: int, flow: int, active: FlowOf) -> None:

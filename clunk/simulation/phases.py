@@ -65,7 +65,6 @@ def preload(system: System, inputs: Floats) -> Preload:
 class Stretch(NamedTuple):
     """A part of a run in one regime under one piece of its load."""
 
-    piece: int
     begin: float  # s after the load step
     end: float
     regime: Regime
@@ -85,7 +84,7 @@ def stretches(
         if kink > begin:
             regime = regime_under(system, number, inputs_of(before, load, piece))
             x = _with_wave(system, x, load[piece], begin)
-            yield Stretch(piece, begin, min(kink, end), regime, x)
+            yield Stretch(begin, min(kink, end), regime, x)
             if kink < end:
                 x = states(regime, x, kink - begin, 0.0, 1)[0]
             begin = kink

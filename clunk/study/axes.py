@@ -72,6 +72,11 @@ class ResultAxis:
             raise ClunkError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
         return int(np.argmin(np.abs(self.values - value)))
 
+    def few(self, most: int) -> Floats:
+        """At most so many of its values, in ascending order and evenly spread, with the first and the last."""
+        places = np.linspace(0, len(self) - 1, min(most, len(self)))
+        return np.sort(self.values)[np.rint(places).astype(np.intp)]
+
     @cached_property
     def is_geometric(self) -> bool:
         """Whether the values, put in order, are spaced evenly in their logarithm, and not in themselves."""

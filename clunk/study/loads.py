@@ -96,17 +96,6 @@ class Load(Table):
 
     def contradictions(self) -> Iterator[Finding]:
         """Require the keys that the profile needs, its torques given in one way, and times in order."""
-        yield from self._torques()
-        for key in PROFILES[self.profile].keys:
-            if key in _NEEDED and getattr(self, key) is None:
-                yield (key,), f"missing; a {shorten(self.profile)} needs it ({_NEEDED[key]})"
-        if self.durations and self.levels and len(self.durations) != len(self.levels):
-            text = f"found {len(self.levels)} levels for {len(self.durations)} durations; must be one for each"
-            yield ("levels",), text
-        yield from self._points()
-
-    def _torques(self) -> Iterator[Finding]:
-        """Require the torques before and after in one way, whole; or none beside a table."""
         given = tuple(key for pair in TORQUES for key in pair if getattr(self, key) is not None)
         if self.profile == "table":
             text = 'given beside profile = "table", which has torques of its own; leave it out'
@@ -114,6 +103,13 @@ class Load(Table):
         elif given not in TORQUES:
             pairs = " or ".join(map(listing, TORQUES))
             yield (), f"found {listing(given) or 'no torque'}; must be {pairs}, and no other of these (N m)"
+        for key in PROFILES[self.profile].keys:
+            if key in _NEEDED and getattr(self, key) is None:
+                yield (key,), f"missing; a {shorten(self.profile)} needs it ({_NEEDED[key]})"
+        if self.durations and self.levels and len(self.durations) != len(self.levels):
+            text = f"found {len(self.levels)} levels for {len(self.durations)} durations; must be one for each"
+            yield ("levels",), text
+        yield from self._points()
 
     def _points(self) -> Iterator[Finding]:
         """Require as many torques as times, in order, or a file in place of both."""

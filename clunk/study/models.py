@@ -248,7 +248,7 @@ class Part(NamedTuple):
 
 def _identifier(name: str) -> str:
     if not (name.isascii() and name.isidentifier() and name[0] != "_"):
-        raise refusal(((), f"found {shorten(name)}; must be a letter, then letters, digits or _, as in shuffle_torque"))
+        raise refusal(f"found {shorten(name)}; must be a letter, then letters, digits or _, as in shuffle_torque")
     return name
 
 

@@ -121,9 +121,6 @@ def _limits(config: Config) -> Iterator[Finding]:
     yield from ((place, text.format(value, most)) for value, most, place, text in limits if value > most)
 
 
-Size = tuple[float, Place]  # a positive number, and the key that has it
-
-
 def _sizes(config: Config) -> Iterator[Finding]:
     """Require inertias, springs and dampers that double precision can add to one another."""
     masses = [(mass, ("driveline", "inertias", k)) for k, mass in enumerate(config.driveline.inertias)]
@@ -160,10 +157,9 @@ def _sizes(config: Config) -> Iterator[Finding]:
 
 def _is_impulsive(part: Part, config: Config) -> bool:
     """Whether a part is at a lash whose touches are impulses."""
-    rigid = [lash for lash in config.lashes if lash.contact.model == "restitution"]
     if part.element == "inertia":
-        return any(part.number + 1 in lash.between for lash in rigid)
-    return part.element == "lash" and bool(rigid)
+        return config.has_rigid_flanks and any(part.number + 1 in lash.between for lash in config.lashes)
+    return config.has_rigid_flanks and part.element == "lash"
 
 
 def _measured(config: Config) -> Iterator[Finding]:

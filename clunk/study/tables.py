@@ -31,10 +31,9 @@ OTHER_UNITS = {"gap_mm": "backlash_deg", "stiffness_per_deg": "stiffness"}  # ke
 ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
 
 
-def refusal(*findings: Finding) -> PydanticCustomError:
-    """Error of a validator, with what is wrong at places below the one that is validated."""
-    text = "; ".join(f"{dotted(place)}: {message}" if place else message for place, message in findings)
-    return PydanticCustomError("clunk", "{text}", {"text": text, "findings": findings})
+def refusal(text: str, findings: Sequence[Finding] = ()) -> PydanticCustomError:
+    """Error of a validator; findings : what is wrong at places below the one that is validated, if not there."""
+    return PydanticCustomError("clunk", "{text}", {"text": text, "findings": findings or [((), text)]})
 
 
 class Table(BaseModel):
@@ -54,7 +53,8 @@ class Table(BaseModel):
     def _refuse_contradictions(self) -> Self:
         findings = tuple(self.contradictions())
         if findings:
-            raise refusal(*findings)
+            text = "; ".join(f"{dotted(place)}: {message}" if place else message for place, message in findings)
+            raise refusal(text, findings)
         return self
 
 
@@ -99,7 +99,7 @@ def converted(table: Any, key: str, target: str, convert: Callable[[float], floa
 def _one_line(text: str) -> str:
     # control characters and broken Unicode can be written neither to a terminal nor to a results file
     if not text.isprintable() and any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
-        raise refusal(((), f"found {shorten(text)}; must be text on one line"))
+        raise refusal(f"found {shorten(text)}; must be text on one line")
     return text
 
 
@@ -140,25 +140,25 @@ def numbered_inertia(value: Any, info: ValidationInfo) -> Any:
     try:
         return position_of(value, len(inertias), items_of(driveline.get("names")), "inertia") + 1
     except ValueError as error:
-        raise refusal(((), str(error))) from None
+        raise refusal(str(error)) from None
 
 
 def _distinct(ends: tuple[Any, ...]) -> tuple[Any, ...]:
     if ends[0] == ends[1]:
-        raise refusal(((), f'both ends are {shorten(ends[0])}; must be two inertias, or one and "ground"'))
+        raise refusal(f'both ends are {shorten(ends[0])}; must be two inertias, or one and "ground"')
     return ends
 
 
 def _not_zero(value: float) -> float:
     if value == 0.0:
-        raise refusal(((), "found 0; must be a finite number other than 0"))
+        raise refusal("found 0; must be a finite number other than 0")
     return value
 
 
 def _sizeable(value: float) -> float:
     # double precision multiplies such numbers
     if value != 0.0 and not 1.0 / LARGEST_SIZE <= abs(value) <= LARGEST_SIZE:
-        raise refusal(((), f"found {value:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}"))
+        raise refusal(f"found {value:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
     return value
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -21,11 +21,8 @@ def help(topic: str | None) -> None:  # noqa: A001  # as the command is named
 
     Example: clunk help designs
     """
-    topics = {
-        entry.name.removesuffix(".md"): entry.read_text(encoding="utf-8")
-        for entry in sorted(files(__package__).iterdir(), key=lambda entry: entry.name)
-        if entry.name.endswith(".md")
-    }
+    pages = sorted(Path(__file__).parent.glob("*.md"))
+    topics = {page.stem: page.read_text(encoding="utf-8") for page in pages}
     if topic is None:
         width = max(map(len, topics))
         for name, text in topics.items():
