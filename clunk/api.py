@@ -218,7 +218,7 @@ def draw(
         Of results: regimes, severity, touches, double_sided_impacts, severity<=8000 and so on, in the words of
         `clunk.results.quantities`. Of a tolerance map: regimes, severity (its mean), severity_5, severity_50,
         severity_95, or the probability of double_sided and the like.
-    lash : str, optional
+    lash : str or int, optional
         Of a map of several lashes, the one to draw, by name or number; by default the first.
 
     Returns
@@ -245,14 +245,16 @@ def draw(
     if isinstance(what, Results | ToleranceMap):
         what = what.at_lash(lash)
         return plot.draw(what, quantity, thresholds_of(what))
+    if not isinstance(what, Trajectory | Fitted):
+        raise TypeError(
+            f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."
+        )
+    if quantity != "regimes" or lash is not None:
+        raise ClunkError("The picture of a run or a fit is of all quantities and lashes; name none.")
     if isinstance(what, Fitted):
         from clunk.plot.analyses import measured_on_maps
 
         return measured_on_maps(what)
-    if not isinstance(what, Trajectory):
-        raise TypeError(
-            f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."
-        )
     from clunk.plot.histories import history_figure
     from clunk.simulation.history import sample
 

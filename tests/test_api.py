@@ -180,6 +180,9 @@ def test_what_is_drawn_is_a_picture(results, nominal):
         clunk.draw(results, "speed")
     with pytest.raises(TypeError, match=r"not a Dataset; clunk\.read_results"):
         clunk.draw(clunk.to_dataset(results))
+    for of_maps in ({"quantity": "severity"}, {"lash": 1}):
+        with pytest.raises(ClunkError, match="of all quantities and lashes"):
+            clunk.draw(clunk.simulate(nominal), **of_maps)
 
 
 # --- progress

@@ -141,11 +141,11 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str) ->
     from clunk.plot import histories as figures
     from clunk.simulation.small_gap import SmallGap
 
-    latest = max(histories.shown_until(trajectory) for _, trajectory in runs)
-    drawn = [histories.sample(trajectory, until=latest, name=name) for name, trajectory in runs]
     if figure == "small-gap":
         picture = figures.small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study))
     else:
+        latest = max(histories.shown_until(trajectory) for _, trajectory in runs)
+        drawn = [histories.sample(trajectory, until=latest, name=name) for name, trajectory in runs]
         picture = figures.history_figure(drawn, figure)
     terminal.save_picture(picture, output)
 
