@@ -284,6 +284,38 @@ def test_commands_tell_measures():
     assert "shaft_torque         6 N m" in CliRunner().invoke(cli, ["simulate", "configs/measures.toml", *at]).stdout
 
 
+LOCKED = """
+driveline.inertias = [0.02, 0.014, 0.0095]
+driveline.shafts = [{between = [3, "ground"], stiffness = 30.0, damping = 0.05}]
+load = {profile = "step", initial_torque = -5.0, final_torque = -1.0}
+solver = {method = "exact", end_time = 0.2}
+[[lash]]
+between = [1, 2]
+backlash_deg = 1.0
+radius = 0.08
+contact = {model = "restitution", restitution = 0.5, locking_speed = 1.0}
+[[lash]]
+between = [2, 3]
+backlash_deg = 6.0
+radius = 0.08
+contact = {model = "restitution", restitution = 0.0, locking_speed = 1.0}
+"""
+
+
+def test_what_a_slow_touch_pulls_through_a_locked_lash_is_taken_from_its_impulse():
+    """The second lash is all that holds the first two inertias; their momentum between its two separations tells."""
+    run = simulate(study_from_text(LOCKED)).lashes[1]
+    kinds, lashes = run.events["kind"], run.events["lash"]
+    parted = np.flatnonzero((kinds == SEPARATION) & (lashes == 1))
+    (slow,) = np.flatnonzero((kinds == TOUCH) & (lashes == 0) & (np.abs(run.events["speed"]) < 1.0))
+    assert parted[0] < run.primaries[0] < slow < parted[1]
+    momentum = run.phase_states[np.isin(run.phases["time"], run.events["time"][parted]), 3:5] @ [0.02, 0.014]
+    of_load = -1.0 * np.diff(run.events["time"][parted])
+    impulse = abs(np.diff(momentum[:: len(momentum) - 1]) - of_load)
+    ((found,), *_) = measured(run)[1].values()
+    assert found == pytest.approx(impulse.item(), rel=1e-9)
+
+
 def test_each_of_two_lashes_has_its_impacts_and_together_they_take_what_the_balance_says():
     axis = "sweep.axes=[{parameter='load.duration', values=[0.0, 0.1]}]"
     study = load_study("configs/two_lashes.toml", [axis, "impacts.quantities=['energy']"])

@@ -187,13 +187,14 @@ def _add_event(
         for other in range(row.size):
             if not together >> other & 1 or row[other] < first[other]:
                 continue
-            impulse, speeds = 0.0, 0.0
+            impulse, speeds, side = 0.0, 0.0, system.contacts[event.regime, other].side
             for k in range(begin, e + 1):
                 struck, before = events[k].lash, events[k].speed
                 after = speed_of(system, struck, x[: system.lashes.shape[1]])
                 impulse += system.passed[together & ~(1 << struck), struck, other] * (before - after)
-                speeds += (before + after) * (struck == other)
-            room.of_impacts[row[other], IMPULSE] += abs(impulse)
+                if struck == other:
+                    speeds, side = speeds + before + after, events[k].side
+            room.of_impacts[row[other], IMPULSE] += side * impulse  # through a lash that is locked it may pull
             room.of_impacts[row[other], ENERGY] += 0.5 * impulse * speeds
         return
     if event.kind in (SEPARATION, REJOIN) and row[lash] >= first[lash]:
