@@ -211,7 +211,7 @@ def test_a_bearing_has_damping_or_friction_alone_and_the_first_inertia_is_loaded
 
 
 def test_flanks_that_indent_need_stiffness_and_damping_and_rigid_ones_do_not():
-    text = "[driveline]\ninertias = [1.0, 1.0]\nshafts = []\n" + LASH_AND_LOAD
+    text = "[driveline]\ninertias = [1.0, 1.0]\n" + LASH_AND_LOAD  # and inertias that a lash joins need no shaft
     assert study_from_text(text, overrides=["lash.contact={model='restitution'}"]).lash.contact.stiffness is None
     error = errors_of(text, "lash.contact={model='indentation'}")
     assert [problem.key for problem in error.problems] == ["lash.contact.stiffness", "lash.contact.damping"]

@@ -130,7 +130,7 @@ class DrivelineConfig(Table):
 
     inertias: Annotated[tuple[Annotated[Positive, Quantity("inertia {}", "J{}", "kg m2")], ...], Field(min_length=1)]
     names: Annotated[tuple[Text, ...], Field(description="a list of names, one for each inertia")] | None = None
-    shafts: tuple[Shaft, ...]
+    shafts: tuple[Shaft, ...] = ()
 
     def contradictions(self) -> Iterator[Finding]:
         """Require a name for each inertia or for none, which differ from each other, from numbers and from ground."""
