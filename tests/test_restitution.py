@@ -8,6 +8,7 @@ from conftest import BOERE, axis
 from helpers import reference
 from helpers.agreement import exact
 from helpers.reference import Plant
+from helpers.studies import random_study
 
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.simulation import driveline
@@ -254,3 +255,18 @@ def test_flanks_without_a_gap_change_sides_and_touch_no_other_lash(restitution, 
     assert np.abs(twists) == pytest.approx(np.deg2rad(5.46) / 2.0, rel=1e-9)
     assert without.approach_velocity == pytest.approx(least.approach_velocity, rel=1e-9)
     assert np.any((without.events["lash"] == 1) & (without.events["kind"] == LOCK))
+
+
+@pytest.mark.parametrize("torque", [60.0, 100.0, 140.0, 200.0, 249.3])
+def test_an_impact_pulls_nothing_along_by_flanks_that_are_still(torque):
+    """Two lashes in a row part at once, and the part between them moves freely, at the flank of the second as it was.
+
+    The touch of the first pushes it away from there: no impulse reaches what is behind.
+    """
+    study = random_study(60, "solver.end_time=0.2").model_copy(update={"sweep": None})
+    run = simulate(replace_values(study, {"lash[1].backlash_deg": 0.9968, "load.initial_torque": torque}))
+    first, second = np.flatnonzero(run.events["kind"] == TOUCH)[:2]
+    assert run.events["kind"][1:first].tolist() == [SEPARATION, SEPARATION]
+    assert run.events["lash"][[first, second]].tolist() == [0, 1]
+    assert run.events["time"][second] - run.events["time"][first] > 1e-3
+    assert abs(run.events["speed"][second]) > 0.3 * abs(run.events["speed"][first])

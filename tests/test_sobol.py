@@ -148,6 +148,16 @@ def test_what_changes_nothing_has_no_share():
     assert (found.total, found.total_interval) == (0.0, [0.0, 0.0])
 
 
+def test_what_all_runs_have_but_for_rounding_is_no_variance():
+    """The torque before the load step is the largest that a shaft bears: the same, whatever its stiffness."""
+    measure = 'measures = [{name = "held", quantity = "shaft torque", of = 3, reduce = "largest"}]'
+    spread = {key: SPREAD[key] for key in ("lash.contact.stiffness", "driveline.shafts[3].stiffness")}
+    (found,) = sensitivity(study(spread, measure, "load.static_torque=-1.0"), of="held").indices
+    assert found.mean == pytest.approx(6.0, rel=1e-12)
+    assert found.indices is None
+    assert found.std == 0.0
+
+
 def test_nothing_depends_on_the_number_of_workers_and_everything_on_the_seed():
     spread = {"lash.contact.damping": 'distribution = "normal"\ndraws = "factor"\nstd = 0.05', **DRIVING}
     one, three = (sensitivity(study(spread, count=16), workers=workers) for workers in (1, 3))

@@ -28,6 +28,7 @@ from clunk.sweeping.runner import Runner
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
 
+_ROUNDING = 1e-12  # of the largest value: runs that differ by less are alike
 _RARE = 10  # runs that differ from the others: of fewer no shares are told
 _RESAMPLES = 999
 _FEWEST = 16
@@ -275,7 +276,8 @@ def _indices(
         why = WHY_UNDEFINED.get(quantity.name, ": nothing happens in them; ask for another quantity")
         raise ClunkError(f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs{why}.")
     base, shares = pages[:, :2], None
-    if np.count_nonzero(base != np.median(base)) >= _RARE:
+    apart = np.abs(base - np.median(base)) > _ROUNDING * np.abs(base).max()
+    if np.count_nonzero(apart) >= _RARE:
         first, total, of_first, of_total = first_and_total(pages, seed)
         shares = {
             parameters[k]: Share(float(first[k]), of_first[:, k].tolist(), float(total[k]), of_total[:, k].tolist())
@@ -286,7 +288,7 @@ def _indices(
         heading=quantity.heading_with_unit,
         nominal=float(values[-1]),
         mean=float(base.mean()),
-        std=float(base.std()) if np.ptp(base) > 0.0 else 0.0,  # the rounding of a mean is no variance
+        std=float(base.std()) if apart.any() else 0.0,
         quantiles={f"{q:g}": float(value) for q, value in zip(QUANTILES, np.quantile(base, QUANTILES), strict=True)},
         indices=shares,
     )

@@ -159,11 +159,11 @@ class Map(Design, ABC):
         """Position of each cell's first impact in the flat arrays, and last their number: (cells + 1,), in C order."""
         return np.concatenate(([0], np.cumsum(self.primary_impacts, dtype=np.int64)))
 
-    def at(self, values: Mapping[str, float]) -> Self:
+    def at(self, values: Mapping[str, float | str]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
 
-        Those axes stay, with one value; of `run` a run's number, and its coordinates stay with theirs. Labels and codes
-        are those of the whole.
+        A lash goes by name or number. Those axes stay, with one value; of `run` a run's number, and its coordinates
+        stay with theirs. Labels and codes are those of the whole.
 
         Raises ClunkError where a name is not an axis, or a value lies beyond it.
         """
@@ -323,12 +323,12 @@ class Results(Map):
         most = max(1, self.primary_impacts.max())
         return {"impact": np.arange(1, most + 1, dtype=np.int32)}
 
-    def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
+    def cell(self, values: Mapping[str, float | str]) -> dict[str, Any]:
         """Label, quantities and primary impacts of the cell nearest to these values, by name.
 
         Parameters
         ----------
-        values : by parameter, for every axis, in its unit
+        values : by parameter, for every axis, in its unit; a lash by name or number
 
         Returns
         -------

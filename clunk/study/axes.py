@@ -65,8 +65,15 @@ class ResultAxis:
         along = tuple(each.part(places) for each in self.along)
         return replace(self, values=self.values[places], words=self.words[places], along=along)
 
-    def nearest(self, value: float) -> int:
-        """Index of the value nearest to this one; of two as near, the first. Raises ClunkError beyond the axis."""
+    def nearest(self, value: float | str) -> int:
+        """Index of the value nearest to this one; of two as near, the first; or of a word.
+
+        Raises ClunkError beyond the axis, or where it has no such word.
+        """
+        if isinstance(value, str):
+            if value not in self.words:
+                raise ClunkError(f"{value!r} is not on {self.parameter}; it is {self.spread}.")
+            return self.words.index(value)
         lowest, highest = self.values.min(), self.values.max()
         if not lowest <= value <= highest:  # also where it is not a number
             raise ClunkError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")

@@ -46,7 +46,7 @@ FEW = 32  # cells, whose time tells whether others are worth threads
 _FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 16  # of a run in a lash, that there is room for at first
-_MANY_TOUCHES = 40  # of a lash: 1e-16 of the gap is as large as the gap then, if each magnifies it 2.5 times
+_MANY_TOUCHES = 40  # of a run: 1e-16 of the gap is as large as the gap then, if each magnifies it 2.5 times
 _NUDGED = 1.0 + 1e-12  # 1e4 times rounding: 1e2 times leave some chaotic runs as they are
 _OUTCOME = ["pattern", "touches"]  # that other impacts change
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
@@ -308,7 +308,7 @@ class Grid:
         """
         cells, details = self._followed(batch, cases, stop, room, logs, states)
         if self.study.solver.method == "exact" and self.study.solver.margin_tolerance:
-            long = np.flatnonzero((cells["touches"] >= _MANY_TOUCHES).any(axis=1))
+            long = np.flatnonzero(cells["touches"].sum(axis=1) >= _MANY_TOUCHES)
             if long.size:
                 again = cases.at(long)
                 again = again._replace(before=again.before * _NUDGED)
