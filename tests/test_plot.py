@@ -467,7 +467,7 @@ def test_a_single_cell_is_drawn_as_a_strip(tmp_path: Path) -> None:
 
 
 def test_a_map_of_one_axis_is_refused() -> None:
-    with pytest.raises(plot.PlotError, match="needs two axes and these results sweep one axis"):
+    with pytest.raises(plot.PlotError, match="needs two axes, and here is one: "):
         View.of_plane(one_axis([0, 1]))
 
 

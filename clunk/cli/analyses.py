@@ -316,7 +316,7 @@ def print_thresholds(result: Thresholds) -> None:
     along = result.along
     unit = "" if along.unit == "1" else f" [{along.unit}]"
     what = f"{'whether ' if result.outcome.type == YES_NO else ''}{result.outcome.heading_with_unit}"
-    what += f" of {result.lash}" if result.lash else ""
+    what += f", of {result.lash}" if result.lash else ""
     click.echo(fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
     rows, offs = result.rows(), iter(result.off.tolist())
     for row in rows:

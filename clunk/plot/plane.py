@@ -63,7 +63,7 @@ class View:
         """The same over two axes. Raises PlotError where the map has one."""
         view = cls.of(drawn, x, y)
         if len(view.axes) < 2:
-            raise PlotError(f"This figure needs two axes and these results sweep one axis ({view.x.parameter}).")
+            raise PlotError(f"This figure needs two axes, and here is one: {view.x.parameter}.")
         return view
 
     @classmethod
