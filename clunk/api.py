@@ -215,9 +215,9 @@ def draw(
     ----------
     what : Results, ToleranceMap, Trajectory or Fitted
     quantity : str
-        Of results: regimes, severity, touches, double_sided_impacts, severity<=8000 and so on, in the words of
-        `clunk.results.quantities`. Of a tolerance map: regimes, severity (its mean), severity_5, severity_50,
-        severity_95, or the probability of double_sided and the like.
+        Of a run or a fit none. Of results: regimes, severity, touches, double_sided_impacts, severity<=8000 and so on,
+        in the words of `clunk.results.quantities`. Of a tolerance map: regimes, severity (its mean), severity_5,
+        severity_50, severity_95, or the probability of double_sided and the like.
     lash : str or int, optional
         Of a map of several lashes, the one to draw, by name or number; by default the first.
 
@@ -229,7 +229,7 @@ def draw(
     Raises
     ------
     PlotError, ClunkError
-        Where the results cannot be drawn so.
+        Where the results cannot be drawn so; or with a quantity or a lash of a run or a fit.
     TypeError
         Where it is something else, a Dataset for example.
 
@@ -247,7 +247,7 @@ def draw(
         return plot.draw(what, quantity, thresholds_of(what))
     if not isinstance(what, Trajectory | Fitted):
         raise TypeError(
-            f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."
+            f"draw takes a map, a run or a fit, not a {type(what).__name__}; clunk.read_results(path) gives Results."
         )
     if quantity != "regimes" or lash is not None:
         raise ClunkError("The picture of a run or a fit is of all quantities and lashes; name none.")

@@ -182,8 +182,11 @@ class TestPictures:
         of_one = '[solver]\nmethod = "exact"\nmax_events = 1\n' + axis("load.ratio", 2.0, 10.0, 5)
         failed = sweep(study_from_text(NOMINAL + of_one))
         assert "failed: 5 cells" in picture(failed, "regimes")["legend"]["text"]
-        with pytest.raises(PlotError, match=r"no severity to draw: .* in any cell; runs have failed in every cell"):
+        with pytest.raises(PlotError, match=r"no severity to draw: .* in any cell; all runs have failed"):
             picture(failed, "severity")
+        drawn_too = drawn("tolerances", "lash.radius", "normal", draws="factor", std=0.01)
+        no_label = tolerance_map(study_from_text(NOMINAL + of_one + drawn_too + "[sweep.sampling]\ncount = 4\n"))
+        assert "failed: 5 cells" in picture(no_label, "regimes")["legend"]["text"]
 
 
 class TestRuns:

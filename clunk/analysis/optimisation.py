@@ -347,7 +347,9 @@ def optimize(
 def front(study: Study, quantity: str, **options: Any) -> Front:
     """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
 
-    quantity : a number, such as severity, of which less than 0 has no other bounds; options : as of `optimize`
+    Where the best has 0 or less of it, the front is that one point.
+
+    quantity : a number, such as severity; options : as of `optimize`
 
     Raises ClunkError where no values are found for which all conditions hold, and KeyboardInterrupt with the Front so
     far as its first argument, or as `optimize` does.

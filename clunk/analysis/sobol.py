@@ -28,7 +28,7 @@ from clunk.sweeping.runner import Runner
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
 
-_ROUNDING = 1e-12  # of the largest value: runs that differ by less are alike
+_ROUNDING = 1e-12  # of the largest value: runs no further from the median differ from it by rounding
 _RARE = 10  # runs that differ from the others: of fewer no shares are told
 _RESAMPLES = 999
 _FEWEST = 16

@@ -20,7 +20,7 @@ from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
 _ROLLING_TIME = 0.01  # s, of rolling: the coordinates of modes are rounded as its angle is
-_STILL = 1e-9  # of the speed of a touch: with flanks that are slower, rounding tells whether they approach
+_STILL = 1e-9  # of a lash's fastest touch: rounding tells whether flanks of another one that are slower approach
 _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
 
 
@@ -87,7 +87,7 @@ def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds:
         gap = at.inputs[gap_input(other)]
         # `_part_by` moves one of those that part at one time
         is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 3.0 * _APART * (gap + size)
-        is_near &= abs(its_speed) > _STILL * abs(events[count].speed)
+        is_near &= abs(its_speed) > _STILL * log.courses[lash].fastest
         if other == lash or system.contacts[regime, other].closed or not is_near:
             continue
         slowest = _locking_speed(at, log, regime, other, its_speed)

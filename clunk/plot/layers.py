@@ -104,7 +104,8 @@ class Layers:
         is_label = described.type == TEXT
         values = np.zeros(0) if is_label else view.arrange(described.of_runs(drawn))
         if not is_label and not is_strip and np.isnan(values).all():
-            why = "; runs have failed in every cell" if drawn.status.all() else WHY_UNDEFINED.get(described.name, "")
+            has_failed = (drawn.sequence == FAILED_CODE).all()
+            why = "; all runs have failed" if has_failed else WHY_UNDEFINED.get(described.name, "")
             raise PlotError(f"There is no {described.name} to draw: it is not defined in any cell{why}.")
         codes = view.arrange(drawn.sequence)
         undecided, draws = np.zeros(codes.shape, bool), ""
@@ -191,6 +192,8 @@ class Layers:
 
     def _faded(self, drawn: ToleranceMap) -> "Layers":
         """The most likely labels, or groups of them, paler where they are less certain."""
+        if self.failed.all():
+            return self
         regions = np.arange(len(self.names))[:, None] == self.regions_of[:-1]
         likely = np.stack([self.view.arrange(drawn.of_labels(labels)) for labels in regions])
         codes, certainty = np.where(self.failed, FAILED_CODE, likely.argmax(axis=0)), likely.max(axis=0)

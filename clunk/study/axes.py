@@ -72,7 +72,8 @@ class ResultAxis:
         """
         if isinstance(value, str):
             if value not in self.words:
-                raise ClunkError(f"{value!r} is not on {self.parameter}; it is {self.spread}.")
+                there = " or ".join(self.words) or "a number"
+                raise ClunkError(f"{self.parameter} must be {there}, not {value!r}.")
             return self.words.index(value)
         lowest, highest = self.values.min(), self.values.max()
         if not lowest <= value <= highest:  # also where it is not a number

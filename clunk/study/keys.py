@@ -230,7 +230,7 @@ def _unknown_key(place: Place, likely: Place | None) -> str:
 def wrong_value(place: Place, value: Any, fallback: str = "", *, is_missing: bool = False) -> str:
     """Sentence on a value that a place does not allow, or that it lacks; fallback : what is allowed at no known key."""
     if is_missing and place == ("driveline",):
-        return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias and shafts"
+        return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias, and the shafts that join them"
     key = key_at(place)
     must_be, choices = (fallback, ()) if key is None else (key.must_be, key.choices)
     likely = nearest(value, choices) if isinstance(value, str) else None

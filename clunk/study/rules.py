@@ -115,7 +115,7 @@ def _limits(config: Config) -> Iterator[Finding]:
         (step, end, ("solver", "step"), "a step of {:g} s is longer than the run, end_time = {:g} s"),
         (end / step, MOST_STEPS, ("solver", "step"), "a run has {:.2g} steps; at most {:g} are allowed"),
         (end * frequency, MOST_PERIODS, ("load", "frequency"), "a run has {:.2g} periods of the load; at most {:g}"),
-        (count_of_regimes(config), MOST_REGIMES, ("driveline", "shafts"), "the states of lashes, staged shafts and "
+        (count_of_regimes(config), MOST_REGIMES, ("driveline",), "the states of lashes, staged shafts and "
          "frictions combine to {:,} regimes; at most {:,} are allowed"),
     )  # fmt: skip
     yield from ((place, text.format(value, most)) for value, most, place, text in limits if value > most)
