@@ -84,7 +84,7 @@ def _length(vectors: Floats) -> Floats:
 def _append(rows: Array, more: Array) -> None:
     """Append rows to an array in place, which no other array may be a view of.
 
-    Each part of a large map adds a few: a copy of all rows for each would take a third of the time of tracing.
+    Nodes come a few at a time: a copy of all rows of a large map for each takes a fifth of the time of tracing it.
     """
     count = len(rows)
     rows.resize((count + len(more), *rows.shape[1:]), refcheck=False)
