@@ -275,3 +275,12 @@ def test_an_impact_pulls_nothing_along_by_flanks_that_are_still(torque):
     share *= abs(lash.ratio) * inertia[0] / inertia[1]
     speeds = np.abs(run.events["speed"])
     assert speeds[second] == pytest.approx(share * speeds[first], rel=1e-4)
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_rigid_flanks_have_no_extremes_of_an_acceleration_that_their_impacts_make_infinite(method):
+    rigid = ['lash.contact.model="restitution"', "lash.contact.restitution=0.5"]
+    run = simulate(study_from_text(BOERE, overrides=[f'solver.method="{method}"', *rigid]))
+    assert run.label != "NI"
+    assert np.isnan(run.extremes).all()
+    assert np.isnan(run.severity)

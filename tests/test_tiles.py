@@ -7,6 +7,7 @@ import pytest
 from conftest import NOMINAL
 from test_sweeping import equal, figure_3_4
 
+from clunk.api import run_points
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
@@ -66,6 +67,25 @@ def test_impacts_that_find_no_room_get_it(method, monkeypatch):
     for arrays in ((tile.records, at_once.records), (tile.details, at_once.details)):
         for name in arrays[0].dtype.names:
             np.testing.assert_array_equal(*(array[name] for array in arrays))
+
+
+@pytest.mark.parametrize("method", ["rk4", "exact"])
+@pytest.mark.parametrize("measured", [[], ['impacts.quantities = ["impulse"]']], ids=["plain", "measured"])
+def test_a_run_may_have_as_many_events_as_are_allowed_alone_and_among_others(method, measured):
+    """Of rigid flanks, for which a switch may write several events more."""
+    rigid = ["lash.contact.model = 'restitution'", "lash.contact.restitution = 0.5"]
+    settings = [f"solver.method = '{method}'", *rigid, *measured]
+    run = simulate(study_from_text(NOMINAL, overrides=settings))
+    for lacking in (0, 1):
+        most = f"solver.max_events = {len(run.events) - 1 - lacking}"
+        study = study_from_text(NOMINAL, overrides=[*settings, most])
+        among = run_points(study, {"load.ratio": [study.load.ratio]})
+        assert among.label_map[0] == ("failed" if lacking else run.label)
+        if lacking:
+            with pytest.raises(ClunkError, match="max_events"):
+                simulate(study)
+        else:
+            assert simulate(study).label == run.label
 
 
 @pytest.mark.parametrize("method", ["rk4", "exact"])

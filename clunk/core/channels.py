@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from clunk.core.arrays import FloatArray, IntArray, Positions
 
-TERMS = 20  # a multiple of four
+TERMS = 20
 LEVELS = 4  # of steps, each twice as long as the one before: beyond, rounding in fast modes would spoil the series
 CONTACT_TORQUE, CLOSING = 0, 1  # the first channels of a lash, signed like q and q'
 OF_LASH = 2  # and how many these are; behind those of the last lash come the measures

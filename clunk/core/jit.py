@@ -78,18 +78,25 @@ def compiled(function: Function) -> Function:
     return cast(Function, partial.kernel(_uncached(_nrt=False)(function)))
 
 
-def _part(forceinline: bool) -> Callable[[Function], Function]:
-    """A function that only compiled functions call; an option not given would be that of the function that calls it."""
+def part(function: Function, forceinline: bool = False) -> Function:
+    """A function that only compiled functions call; an option not given would be that of the function that calls it.
+
+    It is optimised and made machine code with its callers, and once only: numba would do so with each function and all
+    that it calls, for functions of functions again and again (exact takes 70 s of processor time so, and 26 s with
+    parts). Which parts are inlined is LLVM's choice.
+    """
     if partial is None:
-        return _uncached(forceinline=forceinline)
+        return _uncached(forceinline=forceinline)(function)
+    wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False, "forceinline": forceinline}
+    return cast(Function, partial.with_callers(_uncached(pipeline_class=partial.PartCompiler, **wrappers)(function)))
 
-    def decorate(function: Function) -> Function:
-        wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False, "forceinline": forceinline}
-        return cast(
-            Function, partial.with_callers(_uncached(pipeline_class=partial.PartCompiler, **wrappers)(function))
-        )
 
-    return decorate
+def inlined_part(function: Function) -> Function:
+    """A part that is always in the machine code of its callers.
+
+    Without, rk4 takes a third longer, and exact an eighth, which is compiled in an eighth less time.
+    """
+    return part(function, forceinline=True)
 
 
 try:
@@ -97,10 +104,3 @@ try:
 except (ImportError, AttributeError):  # numba's inner parts are not as expected: slower to compile, the same bits
     partial = None
 _configure()  # before the first function is decorated
-# What only compiled functions call. It is optimised and made machine code with its callers, and once only: numba would
-# do so with each function and all that it calls, for functions of functions again and again (exact takes 70 s of
-# processor time so, and 26 s with parts). Which of them are inlined is LLVM's choice.
-part = _part(forceinline=False)
-# And always in the machine code of their callers: without, rk4 takes a third longer, and exact an eighth, which is
-# compiled in an eighth less time.
-inlined_part = _part(forceinline=True)

@@ -103,57 +103,47 @@ def _measure_runs(
         first[0] = first[room.row.size]
         for lash in range(room.row.size):
             first[lash + 1] = first[lash] + output.cells[k, lash].primary_impacts
-        if output.cells[k, 0].status == OK:
-            driveline = cases.drivelines[k % cases.drivelines.size]
-            of_run = reference_at(room.systems, driveline, system)
-            _measure(of_run, channels, driveline, cases, output, k, room, totals[k])
-
-
-@part
-def _measure(
-    system: System,
-    channels: Channels,
-    driveline: int,
-    cases: Cases,
-    output: Output,
-    k: int,
-    room: Room,
-    totals: FloatArray,
-) -> None:
-    """Measure the run of cell k, of one of the drivelines."""
-    size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, -1, system.lash_count
-    x, shortest, load = room.z[:size], INSTANT if lashes > 1 else 0.0, cases.loads[k % cases.loads.shape[0]]
-    events, written = output.logs[k], 0
-    while written < events.size and not np.isnan(events[written].time):
-        written += 1
-    copy(cases.before[k], room.inputs)
-    room.ranges[:, 0], room.ranges[:, 1] = np.inf, -np.inf
-    for lash in range(lashes):
-        room.row[lash] = room.first[lash] - 1
-    for e in range(written):
-        event = events[e]
-        copy(output.states[k, e, :n], x)
-        if channels.of_impacts and event.lash >= 0:
-            _add_event(system, channels, driveline, events[:written], output.states[k], e, output.impacts, room)
-        time, end = event.time, system.end_time[0]
-        if e + 1 < written:
-            end = events[e + 1].time
-        while end - time > shortest:
-            piece = go_on(system, load, piece, time, x, room.inputs)
-            until = min(end, end_of_piece(system, load, piece))
-            set_weighed(system, event.regime, room.inputs, room.z[size:])
-            _follow(system, channels, driveline, event.regime, until - time, room)
-            time = until
-    for lash in range(lashes):
-        first, last = room.first[lash], room.first[lash + 1]
-        for j in range(OF_IMPACTS):
-            totals[lash, j] = root_of_squares(room.of_impacts[first:last, j])
-        totals[lash, PEAK_TORQUE] = 0.0
-        for i in range(first, last):
-            totals[lash, PEAK_TORQUE] = np.maximum(totals[lash, PEAK_TORQUE], room.of_impacts[i, PEAK_TORQUE])
-        for m in range(channels.swings.size):
-            low, high = room.ranges[OF_LASH * lashes + m, 0], room.ranges[OF_LASH * lashes + m, 1]
-            totals[lash, OF_IMPACTS + m] = high - low if channels.swings[m] else max(-low, high)
+        if output.cells[k, 0].status != OK:
+            continue
+        driveline = cases.drivelines[k % cases.drivelines.size]
+        system = reference_at(room.systems, driveline, system)
+        size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, -1, system.lash_count
+        x, shortest, load = (
+            room.z[:size],
+            INSTANT if system.element_count > 1 else 0.0,
+            cases.loads[k % cases.loads.shape[0]],
+        )
+        events, written = output.logs[k], 0
+        while written < events.size and not np.isnan(events[written].time):
+            written += 1
+        copy(cases.before[k], room.inputs)
+        room.ranges[:, 0], room.ranges[:, 1] = np.inf, -np.inf
+        for lash in range(lashes):
+            room.row[lash] = first[lash] - 1
+        for e in range(written):
+            event = events[e]
+            copy(output.states[k, e, :n], x)
+            if channels.of_impacts and event.lash >= 0:
+                _add_event(system, channels, driveline, events[:written], output.states[k], e, room)
+            time, end = event.time, system.end_time[0]
+            if e + 1 < written:
+                end = events[e + 1].time
+            while end - time > shortest:
+                piece = go_on(system, load, piece, time, x, room.inputs)
+                until = min(end, end_of_piece(system, load, piece))
+                set_weighed(system, event.regime, room.inputs, room.z[size:])
+                _follow(system, channels, driveline, event.regime, until - time, room)
+                time = until
+        for lash in range(lashes):
+            begin, last = first[lash], first[lash + 1]
+            for j in range(OF_IMPACTS):
+                totals[k, lash, j] = root_of_squares(room.of_impacts[begin:last, j])
+            totals[k, lash, PEAK_TORQUE] = 0.0
+            for i in range(begin, last):
+                totals[k, lash, PEAK_TORQUE] = np.maximum(totals[k, lash, PEAK_TORQUE], room.of_impacts[i, PEAK_TORQUE])
+            for m in range(channels.swings.size):
+                low, high = room.ranges[OF_LASH * lashes + m, 0], room.ranges[OF_LASH * lashes + m, 1]
+                totals[k, lash, OF_IMPACTS + m] = high - low if channels.swings[m] else max(-low, high)
 
 
 @part
@@ -164,7 +154,6 @@ def _add_event(
     events: Records,
     states: FloatArray,
     e: int,
-    impacts: Records,
     room: Room,
 ) -> None:
     """Begin the values of an impact where event e is that, and add what events pass on or take at once.
@@ -174,9 +163,9 @@ def _add_event(
     """
     event, row, first, x = events[e], room.row, room.first, room.z
     lash = event.lash
-    following, torque = row[lash] + 1, OF_LASH * lash + CONTACT_TORQUE
-    if event.kind == TOUCH and following < first[lash + 1] and impacts[following].time == event.time:
-        row[lash], room.ranges[torque, 0], room.ranges[torque, 1] = following, 0.0, 0.0
+    torque = OF_LASH * lash + CONTACT_TORQUE
+    if event.primary:
+        row[lash], room.ranges[torque, 0], room.ranges[torque, 1] = row[lash] + 1, 0.0, 0.0
     if system.impulsive:
         if event.kind != TOUCH or (e + 1 < events.size and _are_one_impact(events, states, e)):
             return

@@ -173,19 +173,48 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     touched : int
         The lashes that touch at this moment, as bits, which lock or never were closed.
     """
-    system, before = at.system, _resting_on(at, log, regime, count)
+    system, x, before, first = at.system, at.x, _resting_on(at, log, regime, count), -1
     successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
-    for lash in range(system.lash_count):
+    lashes, held = range(system.lash_count * system.impulsive), held_with(system, successor, -1)
+    for lash in lashes:
         is_closed = system.contacts[successor, lash].closed != 0
         if touched >> lash & 1 and (is_closed or rubbing.is_carried(at, successor, lash)):
             record(at, log, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
             count += 1
-    entry = _part(at, log, before, touched, Entry(count, successor, zero_guard, zero_order))
-    count = entry.written
+    # separations of flanks at rest: of those closed before, and open now, or closed on the other side, without a gap,
+    # which is a separation, a touch and a lock
+    for lash in lashes:
+        side, now = system.contacts[before, lash].side, system.contacts[successor, lash].side
+        if side in (0, now):
+            continue
+        is_carried = now == 0 and rubbing.is_carried(at, successor, lash)
+        if now:
+            _hold(system, held & ~(1 << lash), lash, x, 0.0)
+        elif not is_carried and first < 0 and zero_guard < 0:
+            first = lash  # released where it was held, but for what rounding has added up
+            _hold(system, held, lash, x, side * at.inputs[gap_input(lash)])
+        else:
+            _part_by(_APART, at, held, lash, side)
+        if is_carried:
+            rubbing.stick_all(system, x, at.inputs)
+        elif not touched >> lash & 1:
+            free = opened(system, successor, lash)
+            record(at, log, count, 0.0, SEPARATION, free, lash, side)
+            count += 1
+            if now:
+                record(at, log, count, 0.0, TOUCH, free, lash, now)
+                record(at, log, count + 1, 0.0, LOCK, successor, lash, now)
+                count += 2
+    if first >= 0:
+        torque_held, slope, scale = holding_torque(at, successor, first)
+        # where a jump parts them, q'' is not zero; unless it presses, only the load's slope may tell what zero is
+        side = system.contacts[before, first].side
+        clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time) or side * slope > 0.0
+        zero_guard, zero_order = _touch_of(system, successor, first, side), 2 if clearly else 3
     if log.states.shape[0] > 0 and log.events[count - 1].regime != successor:
         record(at, log, count, 0.0, STAGE, successor, -1, 0)
         count += 1
-    return Entry(count, successor, entry.zero_guard, entry.zero_order)
+    return Entry(count, successor, zero_guard, zero_order)
 
 
 @part
@@ -201,50 +230,6 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
                 twist, _ = rubbing.twist_of(system, system.lashes[lash], at.x)
                 regime += (CLOSED_POSITIVE if twist > 0.0 else CLOSED_NEGATIVE) * system.regime_strides[lash]
     return regime
-
-
-@part
-def _part(at: Moment, log: Log, before: int, touched: int, entry: Entry) -> Entry:
-    """Separations of flanks at rest: of those closed in the regime before, and open in the one that is entered.
-
-    Or closed there on the other side, without a gap, which is a separation, a touch and a lock.
-
-    touched : int
-        The lashes that touch at this moment, as bits, whose flanks do not separate.
-    """
-    system, x, count, first = at.system, at.x, entry.written, -1
-    if not system.impulsive:
-        return entry
-    held = held_with(system, entry.regime, -1)
-    for lash in range(system.lash_count):
-        side, now = system.contacts[before, lash].side, system.contacts[entry.regime, lash].side
-        if side in (0, now):
-            continue
-        is_carried = now == 0 and rubbing.is_carried(at, entry.regime, lash)
-        if now:
-            _hold(system, held & ~(1 << lash), lash, x, 0.0)
-        elif not is_carried and first < 0 and entry.zero_guard < 0:
-            first = lash  # released where it was held, but for what rounding has added up
-            _hold(system, held, lash, x, side * at.inputs[gap_input(lash)])
-        else:
-            _part_by(_APART, at, held, lash, side)
-        if is_carried:
-            rubbing.stick_all(system, x, at.inputs)
-        elif not touched >> lash & 1:
-            free = opened(system, entry.regime, lash)
-            record(at, log, count, 0.0, SEPARATION, free, lash, side)
-            count += 1
-            if now:
-                record(at, log, count, 0.0, TOUCH, free, lash, now)
-                record(at, log, count + 1, 0.0, LOCK, entry.regime, lash, now)
-                count += 2
-    if first < 0:
-        return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)
-    torque_held, slope, scale = holding_torque(at, entry.regime, first)
-    # where a jump parts them, q'' is not zero; unless it presses, nothing but the load's slope may tell what zero is
-    side = system.contacts[before, first].side
-    clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time) or side * slope > 0.0
-    return Entry(count, entry.regime, _touch_of(system, entry.regime, first, side), 2 if clearly else 3)
 
 
 @part

@@ -105,12 +105,15 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         without any.
     """
     system, x, inputs = at.system, at.x, at.inputs
-    count, event, resting, locked, sticking = system.friction_count, -1, 0, 0, _sticking_in(system, regime)
+    count, event, resting, locked = system.friction_count, -1, 0, 0
+    # those that stick, as bits: whether they do comes last in the number of the flow
+    sticking = system.regimes[regime].flow // (system.rates.shape[0] >> count)
     if ended >= 0:  # functionals of frictions are the last
         event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
     for lash in range(system.lash_count * system.impulsive):
         locked |= (system.contacts[resting_on, lash].closed != 0) << lash
-    if ended < 0 and fits(at, regime, resting_on, locked):
+    fits = ended < 0 and not system.excess[system.regimes[regime].flow]
+    if fits and _misfits(at, regime, resting_on, locked, sticking) <= at.within:
         return regime, -1, 0
     for k in range(count):
         if not (k == event or sticking >> k & 1):
@@ -125,40 +128,26 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
 
     zero_guard, zero_order = -1, 0
     for k in range(count):
-        state = system.friction_states[best, k]
+        state, row = system.friction_states[best, k], system.frictions[k]
+        way, (rate, most) = 1.0 if state == SLIPS_FORWARD else -1.0, _rate(system, row, 0.0, x)
         if state == STICKS:
             if system.friction_states[regime, k] != STICKS:
-                inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
-        elif resting >> k & 1 and not _is_held(system, best, rate_of_friction(system, k)):
-            way = 1.0 if state == SLIPS_FORWARD else -1.0
+                inputs[input_of_friction(system, k) + 1] = twist_of(system, row, x)[0]
+        # or slips the other way, which is rounding where two begin at one time
+        elif (resting >> k & 1 or way * rate < 0.0) and not _is_held(system, best, rate_of_friction(system, k)):
             speeds_up, size = derivative(at, best, rate_of_friction(system, k), 1)
             clearly = abs(speeds_up) > at.within * size
             sets_off = clearly or way * derivative(at, best, rate_of_friction(system, k), 2)[0] > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             else:
-                row, weights, n = system.frictions[k], 0.0, system.inertias
-                rate, most = _rate(system, row, 0.0, x)
+                weights, n = 0.0, system.inertias
                 kick = _KICK * way * (most + _STARTING_TIME * size) - rate
                 for j in range(n, 2 * n):
                     weights += row[j] ** 2
                 for j in range(n, 2 * n):
                     x[j] += kick * row[j] / weights
     return best, zero_guard, zero_order
-
-
-@part
-def fits(at: Moment, regime: int, resting_on: int, locked: int) -> bool:
-    """Whether sticking frictions and some locked lashes, as bits, fit their states in a regime; see `choose_states`."""
-    sticking = _sticking_in(at.system, regime)
-    has_excess = at.system.excess[at.system.regimes[regime].flow] != 0
-    return not has_excess and _misfits(at, regime, resting_on, locked, sticking) <= at.within
-
-
-@inlined_part
-def _sticking_in(system: System, regime: int) -> int:
-    """The frictions that stick in a regime, as bits: whether they do comes last in the number of its flow."""
-    return system.regimes[regime].flow // (system.rates.shape[0] >> system.friction_count)
 
 
 @part
@@ -195,7 +184,10 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
         base = regime
         for lash in range(system.lash_count):
             if (locked & ~closed) >> lash & 1:
-                base = _parted(at, base, lash)
+                base = opened(system, base, lash)
+                if not at.inputs[gap_input(lash)] > 0.0:  # they close on the other side
+                    was_positive = system.contacts[regime, lash].side > 0
+                    base += (CLOSED_NEGATIVE if was_positive else CLOSED_POSITIVE) * system.regime_strides[lash]
         for number in range(combinations):
             candidate, digits = base, number
             for j in range(count):  # first the one that the event is of
@@ -216,15 +208,6 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
                 least, best = misfit, candidate
         closed = (closed - 1) & locked if closed > 0 else -1
     return best
-
-
-@inlined_part
-def _parted(at: Moment, regime: int, lash: int) -> int:
-    """The regime in which rigid flanks that are closed have parted; without a gap they close on the other side."""
-    free, side = opened(at.system, regime, lash), at.system.contacts[regime, lash].side
-    if at.inputs[gap_input(lash)] > 0.0:
-        return free
-    return free + (CLOSED_NEGATIVE if side > 0 else CLOSED_POSITIVE) * at.system.regime_strides[lash]
 
 
 @part

@@ -68,14 +68,6 @@ class Outcome(NamedTuple):
 
 
 @inlined_part
-def piece_at(load: FloatArray, piece: int, time: float) -> int:
-    """The piece of a load (P, PIECE) that holds from a time on; not before `piece`."""
-    while piece + 1 < load.shape[0] and load[piece + 1, BEGIN] <= time:
-        piece += 1
-    return piece
-
-
-@inlined_part
 def end_of_piece(system: System, load: FloatArray, piece: int) -> float:
     """End of a piece of a load, or of the run if that is sooner  [s]."""
     end = system.end_time[0]
@@ -92,21 +84,15 @@ def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs
 
 
 @inlined_part
-def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> None:
-    """Set the wave in a state to what it is where a piece begins; a ramp that is no input is in its second number."""
-    size = 2 * system.inertias
-    if x.size > size:
+def go_on(system: System, load: FloatArray, piece: int, time: float, x: FloatArray, inputs: FloatArray) -> int:
+    """Set wave, torque and its rate of change to those of the piece that holds from a time on, which is returned."""
+    before, size = piece, 2 * system.inertias
+    while piece + 1 < load.shape[0] and load[piece + 1, BEGIN] <= time:
+        piece += 1
+    if piece != before and x.size > size:
         x[size], x[size + 1] = load[piece, WAVE], load[piece, WAVE_PARTNER]
         if not system.ramps:
             x[size + 1] += load[piece, SLOPE]
-
-
-@inlined_part
-def go_on(system: System, load: FloatArray, piece: int, time: float, x: FloatArray, inputs: FloatArray) -> int:
-    """Set wave, torque and its rate of change to those of the piece that holds from a time on, which is returned."""
-    before, piece = piece, piece_at(load, piece, time)
-    if piece != before:
-        begin_wave(system, load, piece, x)
     set_torque(system, load, piece, time, inputs)
     return piece
 

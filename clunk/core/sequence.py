@@ -39,12 +39,6 @@ def is_primary(side: int, last_side: int, from_sticking: bool) -> bool:
 
 
 @inlined_part
-def is_sticking(lasted: float, sticking_time: float) -> bool:
-    """Whether a contact that lasted so long counts as sticking  [s]."""
-    return lasted > sticking_time
-
-
-@inlined_part
 def take_event(course: Any, event: Any, sticking_time: float) -> bool:
     """Take an event of a lash into its COURSE; return whether it is a primary impact.
 
@@ -57,7 +51,7 @@ def take_event(course: Any, event: Any, sticking_time: float) -> bool:
     elif event.kind == LOCK:
         course.contact_began = event.time
     elif event.kind == SEPARATION:
-        course.from_sticking = is_sticking(event.time - course.contact_began, sticking_time)
+        course.from_sticking = event.time - course.contact_began > sticking_time
     return primary
 
 

@@ -131,20 +131,19 @@ def begin_run(system: System, start: Start, inputs: FloatArray, log: Log) -> tup
 
 
 @inlined_part
-def may_switch(at: Moment, log: Log, count: int, stages: int) -> bool:
+def may_switch(system: System, log: Log, count: int, stages: int) -> bool:
     """Whether the event buffer holds what one switch may write, and changes of stage that are not are not too many.
 
-    That is an event, of each rigid lash a separation, a touch and its lock, and a friction that begins to slip.
+    That is an event, of each rigid lash a separation, a touch and its lock, and a friction that begins to slip; see
+    `tile.capacity`.
     """
-    system = at.system
-    most = 1 + 3 * system.lash_count * system.impulsive + (system.friction_count > 0)
-    return count + most <= log.events.size and stages <= MOST_STAGES
+    return count + 2 + 3 * system.lash_count <= log.events.size and stages <= MOST_STAGES
 
 
 @inlined_part
-def is_instant(at: Moment, last: float) -> bool:
-    """Whether the phase that the last event, at a time, began has lasted no time: then it has no extremes."""
-    return at.system.element_count > 1 and at.time - last < INSTANT
+def is_instant(at: Moment, log: Log, count: int) -> bool:
+    """Whether the phase that the last of `count` events began has lasted no time: then it has no extremes."""
+    return at.system.element_count > 1 and at.time - log.events[count - 1].time < INSTANT
 
 
 @inlined_part
@@ -156,23 +155,20 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
     count : int
         Events written so far.
     """
-    system, row = at.system, at.system.guards[regime, guard]
-    if row.event_kind == STAGE:
-        entry = Entry(count, row.successor, row.zero_guard, row.zero_order)
-        if row.successor < 0:
-            entry = rigid.enter_chosen(at, log, regime, guard, 0, count)
-        if log.states.shape[0] > 0 and entry.written == count:
-            record(at, log, count, 0.0, STAGE, entry.regime, -1, 0)
-            return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
-        return entry
-    lash = lash_of(system, regime, guard)
-    speed = speed_of(system, lash, at.x)
-    if system.impulsive:
-        if row.event_kind == TOUCH:
+    system, row, lash = at.system, at.system.guards[regime, guard], lash_of(at.system, regime, guard)
+    speed, entry = 0.0, Entry(count, row.successor, row.zero_guard, row.zero_order)
+    if lash >= 0:
+        speed = speed_of(system, lash, at.x)
+        if system.impulsive and row.event_kind == TOUCH:
             return rigid.strike(at, log, regime, guard, speed, count)
-        return rigid.enter_chosen(at, log, regime, guard, 0, count)
-    record(at, log, count, speed, row.event_kind, row.successor, lash, row.side)
-    return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
+    is_chosen = row.successor < 0 or (lash >= 0 and system.impulsive)
+    if is_chosen:
+        entry = rigid.enter_chosen(at, log, regime, guard, 0, count)
+    is_written = log.states.shape[0] > 0 if lash < 0 else not is_chosen
+    if is_written and entry.written == count:
+        record(at, log, count, speed, row.event_kind, entry.regime, lash, row.side)
+        return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
+    return entry
 
 
 @inlined_part
@@ -182,8 +178,6 @@ def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
     State and inputs may change, and events be written, as at a switch.
     """
     if not at.system.friction_count:
-        return entry
-    if not at.system.impulsive and rubbing.fits(at, entry.regime, entry.regime, 0):
         return entry
     settled = rigid.enter_chosen(at, log, entry.regime, -1, 0, entry.written)
     if entry.zero_guard < 0:

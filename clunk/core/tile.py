@@ -110,6 +110,11 @@ class Batch(NamedTuple):
         return Batch(driveline_at(self.systems, drivelines), tables, channels and channels.at(drivelines))
 
 
+def capacity_of(events: int, lashes: int) -> int:
+    """Room for the load step, so many events and one switch more, which `switching.may_switch` asks for."""
+    return events + 3 + 3 * lashes
+
+
 def run_tile(
     batch: Batch,
     undecided: float,
@@ -133,7 +138,9 @@ def run_tile(
     """
     system, tables = batch.system, batch.tables
     size, cells = system.lashes.shape[1], len(output.cells)
-    capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (max_events + 1, 0)
+    capacity, states = (
+        (output.logs.shape[1],) * 2 if output.states.size else (capacity_of(max_events, system.lash_count), 0)
+    )
     x = np.empty(size)
     if not isinstance(tables, Flows):
         lashes = system.lash_count
@@ -176,7 +183,7 @@ def by_rk4(
     system, steps, cases, output = refer(system), refer(steps), refer(cases), refer(output)
     log, room, cells, written = refer(log), refer(room), output.cells, 0
     for k in range(first, cells.shape[0]):
-        if stop[0] != 0 or written + max_events > output.impacts.size:
+        if stop[0] or written + max_events > output.impacts.size:
             return k, written
         start = _begin(system, cases, k, cells[k], x)
         if cells[k, 0].status != OK:
@@ -230,7 +237,7 @@ def by_exact(
             admitted += 1
         while oldest < admitted and begins[oldest - first] >= 0:
             oldest += 1
-        if spare == slots or stop[0] != 0:
+        if spare == slots or stop[0]:
             break
         exact.advance(space, stop)
         for n in range(pool.length[over]):
@@ -318,15 +325,15 @@ def _finish(
                 continue
             cell.last_event_time = event.time
             cell.touches += event.kind == TOUCH
-            if event.primary == 0:
+            if not event.primary:
                 continue
             end = i + 1
-            while end < outcome.written and not (events[end].lash == lash and events[end].primary != 0):
+            while end < outcome.written and not (events[end].lash == lash and events[end].primary):
                 end += 1
             pattern = np.uint64(2) * pattern + np.uint64(event.side != side)
             # the acceleration of an impulsive touch is not a number
             severity = log.extremes[end - 1, lash, 0] - log.extremes[end - 1, lash, 1]
-            severity = severity if system.impulsive == 0 else np.nan
+            severity = np.nan if system.impulsive else severity
             severities, speeds = severities + severity**2, speeds + event.speed**2
             if first + total < impacts.size:
                 impact = impacts[first + total]
@@ -337,6 +344,6 @@ def _finish(
             count, total = count + 1, total + 1
         cell.pattern = pattern if count <= LONGEST_PATTERN else np.uint64(0)
         cell.primary_impacts = count
-        cell.severity = np.sqrt(severities) if system.impulsive == 0 else np.nan
+        cell.severity = np.nan if system.impulsive else np.sqrt(severities)
         cell.approach_velocity = np.sqrt(speeds)
     return total

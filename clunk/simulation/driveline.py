@@ -81,32 +81,29 @@ class Driveline:
                 'give each contact.model = "indentation".'
             )
 
-        def numbers(places: Sequence[Place], key: str, own: Sequence[float]) -> FloatArray:
-            return _numbers(varied, [(*place, key) for place in places], own)
-
         staged = tuple(
             (k, _staged(varied, of_shafts[k], shaft, shaft_rows[..., k, :]))
             for k, shaft in enumerate(shafts)
             if shaft.breakpoints_deg
         )
-        stiffness = numbers(of_shafts, "stiffness", [shaft.stages[0] for shaft in shafts])
+        stiffness = _numbers(varied, of_shafts, [shaft.stages[0] for shaft in shafts], "stiffness")
         for k, each in staged:  # at a breakpoint, the stage above
             stiffness[..., k] = each.stiffness[..., np.count_nonzero(alike(each.breakpoints <= 0.0))]
-        radii = numbers(of_lashes, "radius", [lash.radius for lash in lashes])
-        in_contact = [(*place, "contact") for place in of_lashes]
+        radii = _numbers(varied, of_lashes, [lash.radius for lash in lashes], "radius")
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=_numbers(varied, [("driveline", "inertias", k) for k in range(n)], study.driveline.inertias),
             shafts=shaft_rows,
             shaft_stiffness=stiffness,
-            shaft_damping=numbers(of_shafts, "damping", [shaft.damping for shaft in shafts]),
+            shaft_damping=_numbers(varied, of_shafts, [shaft.damping for shaft in shafts], "damping"),
             lashes=rows,
             contact_stiffnesses=radii**2
-            * numbers(in_contact, "stiffness", [each.stiffness or 0.0 for each in contacts]),
-            contact_dampings=radii**2 * numbers(in_contact, "damping", [each.damping or 0.0 for each in contacts]),
+            * _numbers(varied, of_lashes, [each.stiffness or 0.0 for each in contacts], "contact", "stiffness"),
+            contact_dampings=radii**2
+            * _numbers(varied, of_lashes, [each.damping or 0.0 for each in contacts], "contact", "damping"),
             load=np.eye(n)[study.load.on - 1],
             staged=staged,
-            shaft_friction=numbers(of_shafts, "friction", [shaft.friction for shaft in shafts]),
+            shaft_friction=_numbers(varied, of_shafts, [shaft.friction for shaft in shafts], "friction"),
             varied=varied,
         )
 
@@ -280,10 +277,7 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
 def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
     """The lashes as the core has them."""
     contacts, varied, periods = [lash.contact for lash in study.lashes], driveline.varied, driveline.contact_periods
-
-    def numbers(key: str, own: Sequence[float]) -> FloatArray:
-        return _numbers(varied, [(*place, "contact", key) for place in study.lash_places], own)
-
+    numbers = partial(_numbers, varied, study.lash_places)
     are_rigid = study.has_rigid_flanks  # whose locked state itself is sticking
     sticking = 0.0 if are_rigid else varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
     locking_speeds = [each.locking_speed for each in contacts]
@@ -293,8 +287,10 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
         damping=driveline.contact_dampings,
         are_rigid=are_rigid,
         separation_by_force=[each.separation == "force" for each in contacts],
-        restitution=numbers("restitution", [each.restitution or 0.0 for each in contacts]),
-        locking_speed=numbers("locking_speed", [-LOCKING_SHARE if each is None else each for each in locking_speeds]),
+        restitution=numbers([each.restitution or 0.0 for each in contacts], "contact", "restitution"),
+        locking_speed=numbers(
+            [-LOCKING_SHARE if each is None else each for each in locking_speeds], "contact", "locking_speed"
+        ),
         sticking_time=periods if sticking is None else np.full(periods.shape, np.asarray(sticking)[..., None]),
         acceleration_of=[number - 1 for number in study.watched],
     )
@@ -424,11 +420,11 @@ def _across(joints: FloatArray, sizes: FloatArray) -> FloatArray:
     return (joints.swapaxes(-1, -2) * sizes[..., None, :]) @ joints
 
 
-def _numbers(varied: Varied, places: Sequence[Place], own: Sequence[float]) -> FloatArray:
+def _numbers(varied: Varied, places: Sequence[Place], own: Sequence[float], *key: str) -> FloatArray:
     """(…, m) the numbers at some places of a config: a study's own, or in a batch those of each driveline."""
     numbers = np.tile(np.asarray(own, np.float64), (*next((each.shape for each in varied.values()), ()), 1))
     for k, place in enumerate(places):
-        numbers[..., k] = varied.get(place, numbers[..., k])
+        numbers[..., k] = varied.get((*place, *key), numbers[..., k])
     return numbers
 
 
@@ -444,9 +440,7 @@ def _staged(varied: Varied, place: Place, shaft: Shaft, twist: FloatArray) -> St
 def _incidence(varied: Varied, places: Sequence[Place], joints: Sequence[Shaft | Lash], n: int) -> FloatArray:
     """(…, joints, n) twist = row · θ, 1 at the first end and minus the ratio at the second, nothing at ground."""
     differ = any(place[-1] == "ratio" for place in varied)
-    ratios = _numbers(
-        varied if differ else {}, [(*place, "ratio") for place in places], [each.ratio for each in joints]
-    )
+    ratios = _numbers(varied if differ else {}, places, [each.ratio for each in joints], "ratio")
     rows = np.zeros((*ratios.shape, n))
     for k, joint in enumerate(joints):
         one, other = joint.between

@@ -47,8 +47,8 @@ class Impact(NamedTuple):
     severity: float  # Q_i, rad/s2; NaN where it is not defined
     begin: float  # s, on the history's time axis
     end: float  # likewise; inf for the last one
-    largest: float  # rad/s2
-    smallest: float
+    largest: float  # rad/s2; NaN of rigid flanks
+    smallest: float  # likewise
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,8 @@ class Trajectory:
     initial_sides : (L,) int64, sign of q = θi - ratio θj of each lash on its initial flank
     events : (E,) clunk.core.events.EVENT, times in s after the load step
     states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
-    extremes : (E, L, 2) float64, largest and smallest acceleration of each lash until the next event, from its last
-        touch or, by the exact method, its last primary impact on; not finite before the first  [rad/s2]
+    extremes : (E, L, 2) float64, largest and smallest acceleration of each lash from its last primary impact to the
+        next event; not finite before the first, NaN of rigid flanks  [rad/s2]
     phases : (P,) clunk.core.events.EVENT, the events and the changes of stage between them
     phase_states : (P, 2n) float64, θ and θ' at each of these
     primaries_of : indices of the primary impacts of each lash in `events`, (P,) int64
@@ -210,7 +210,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
     room, lashes, status = tile.EVENTS, len(study.lashes), Status.EVENT_BUFFER_FULL
     system, stop, size = batch.system, np.zeros(1, np.uint8), batch.system.rates.shape[1]
     while status == Status.EVENT_BUFFER_FULL:
-        capacity = room + 1
+        capacity = tile.capacity_of(room, lashes)
         output = tile.Output(
             cells=np.zeros((1, lashes), tile.CELL),
             impacts=np.zeros(lashes * capacity, tile.IMPACT),
@@ -232,6 +232,8 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
     states = output.states[0, : len(phases), : 2 * system.inertias].copy()
     events, begins, (high, low) = phases[is_event], np.flatnonzero(is_event), output.extremes[0, : len(phases)].T
     extremes = np.stack([np.maximum.reduceat(high, begins, 1), np.minimum.reduceat(low, begins, 1)]).T
+    if study.has_rigid_flanks:
+        extremes[:] = np.nan
     cells, primary = output.cells[0], events["primary"] != 0
     severities = output.impacts["severity"][:found].copy()
     return Trajectory(

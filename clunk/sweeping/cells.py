@@ -257,8 +257,9 @@ class Grid:
                     batch = batch.at(cases.drivelines[:1]) if len(batch.systems.rates) > 1 else batch
                     cases = cases._replace(drivelines=_THE_ONLY)
                 at_once = min(positions.size, max((_STATES if measures else _AT_ONCE) // room, 1))
-                logs = np.zeros((at_once, room + 1) if measures or keeps_events else (0, 0), EVENT)
-                states = np.empty((at_once, room + 1, batch.systems.rates.shape[-1]) if measures else (0, 0, 0))
+                capacity = kernel.capacity_of(room, lashes)
+                logs = np.zeros((at_once, capacity) if measures or keeps_events else (0, 0), EVENT)
+                states = np.empty((at_once, capacity, batch.systems.rates.shape[-1]) if measures else (0, 0, 0))
                 again = []
                 for begin in range(0, positions.size, at_once):
                     part = positions[begin : begin + at_once]

@@ -534,7 +534,7 @@ def _expand(generator: FloatArray, modal: IntArray, span: FloatArray, series: Fl
             squares = 0.0
             for c in range(size):
                 total, pair = terms[c, n], c - c % ROW + c % PAIRS
-                rows = range(0, size) if modal[at[:2]] == 0 else range(pair, pair + PAIRS + 1, PAIRS)
+                rows = range(0, size) if not modal[at[:2]] else range(pair, pair + PAIRS + 1, PAIRS)
                 for r in rows if n > 0 else range(0):
                     total += terms[r, n - 1] * rates[r, c]
                 total /= max(n, 1)
@@ -545,7 +545,7 @@ def _expand(generator: FloatArray, modal: IntArray, span: FloatArray, series: Fl
                 for p in range(size // 2 if n == order else 0):
                     block, c = p // PAIRS, p % PAIRS
                     bound = np.hypot(terms[block * ROW + c, n], terms[block * ROW + c + PAIRS, n])
-                    if modal[at[:2]] == 0:
+                    if not modal[at[:2]]:
                         bound = _GROWTH * np.sqrt(squares)
                     # what is multiplied up, span by span, is rounded
                     seen[block, THIRD + k * PAIRS + c] = (1.0 + 1e-9) * unit * bound

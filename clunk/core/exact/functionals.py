@@ -16,15 +16,15 @@ from clunk.core.tables import INPUTS
 
 
 @part
-def gather(space: Workspace, table: FloatArray, first: int, count: int, to: FloatArray) -> None:
-    """Gather `count` numbers, at least ROW, of a table of each lane's driveline, from `first` on.
+def gather(space: Workspace, table: FloatArray, number: int, count: int, to: FloatArray) -> None:
+    """Gather the block with a number, of `count` numbers, at least ROW, of a table of each lane's driveline.
 
     table : (D, …) float64
     to : (count or more, W) float64
     """
     numbers, places = table.size // table.shape[0], space.pool.places
     for lane in range(WIDTH):
-        places[lane] = space.drivelines[lane] * numbers + first
+        places[lane] = space.drivelines[lane] * numbers + number * count
     for row in range(0, count, ROW):
         at = min(row, count - ROW)  # nothing is read behind the table's end
         vectors.gather(table, places, at, to, at)
@@ -42,15 +42,15 @@ def gather_tables(space: Workspace, flow: int, items_per_run: int) -> None:
         space.shortest[flow, lane] = space.flows.span[driveline, flow, 0]
     watch, output = space.flows.watch, space.flows.origin_output
     watched, origins = watch[0, 0].size, output[0, 0].size
-    gather(space, watch, flow * watched, watched, space.lane_watch)
-    gather(space, output, flow * origins, origins, space.lane_output_origins)
+    gather(space, watch, flow, watched, space.lane_watch)
+    gather(space, output, flow, origins, space.lane_output_origins)
 
 
 @inlined_part
 def evaluate(space: Workspace, flow: int, f: int) -> tuple[curves.Curve, Vector]:
     """`curves.evaluate` of the runs taken."""
     work, amplitudes, size = space.pool.work, space.amplitudes, space.behind
-    if space.mixed != 0:
+    if space.mixed:
         gathered = OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
         return curves.evaluate(gathered, work, amplitudes, size)
     return curves.evaluate(space.flows.watch[0, flow, f], work, amplitudes, size)
@@ -63,8 +63,8 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector)
     inputs_at : where the regime's inputs lie in the rows that were taken
     """
     output, driven, rests = space.flows.origin_output, space.system.input_count, space.flows.steady[0, flow] != 0
-    first, order, still = f * driven, output.shape[3] * driven, rests and space.system.ramps == 0
-    if space.mixed != 0:
+    first, order, still = f * driven, output.shape[3] * driven, rests and not space.system.ramps
+    if space.mixed:
         return weighed_origin(space, OfLanes(space.lane_output_origins), first, 1, order, inputs_at, still, elapsed)
     return weighed_origin(space, output[0, flow], first, 1, order, inputs_at, still, elapsed)
 
@@ -107,8 +107,8 @@ def weighed(space: Workspace, weights: Table, first: int, stride: int, at: int) 
 def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: Origin) -> None:
     """`taylor.expand` of the runs taken, into `space.series`."""
     size, shortest, series, work = space.behind, shortest_span(space, flow), space.flows.series, space.pool.work
-    if space.mixed != 0:
-        gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.lane_table)
+    if space.mixed:
+        gather(space, series, flow * series.shape[2] + f, size * LONG, space.lane_table)
         taylor.expand(OfLanes(space.lane_table), work, size, shortest, sign, shift, at, space.series)
     else:
         taylor.expand(series[0, flow, f], work, size, shortest, sign, shift, at, space.series)

@@ -22,7 +22,7 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import lash_of, overlap_of
 from clunk.core.rigid import holding_torque
 from clunk.core.runs import LEVEL, Entry, Moment, Start
-from clunk.core.sequence import is_primary, is_sticking
+from clunk.core.sequence import is_primary
 from clunk.core.status import OK, QUALITY_GRAZING
 from clunk.core.switching import preload, steady_torque
 from clunk.core.tables import TORQUE, TORQUE_RATE
@@ -45,7 +45,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
     Takes the margin of the initial flanks.
     """
     system, inputs = system_of(space, slot), space.inputs[slot]
-    x, torque, rate = space.state[slot, : system.lashes.shape[1]], inputs[TORQUE], inputs[TORQUE_RATE]
+    x = space.state[slot, : system.lashes.shape[1]]
     inputs[TORQUE], inputs[TORQUE_RATE] = start.loads[start.load, -1, LEVEL], 0.0
     status, regime = preload(system, inputs, x)
     if status != OK:
@@ -58,7 +58,6 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
         own = space.numbers[slot, lash_at(space, lash) :]
         _take(own, steady_torque(system, start.regime, lash, start.before) / torque)
         space.courses[slot, lash].static = max(static, 0.0) if status == OK else 0.0
-    inputs[TORQUE], inputs[TORQUE_RATE] = torque, rate
 
 
 @inlined_part
@@ -71,7 +70,7 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
         _take(own, course.margin)
     elif guard.event_kind == SEPARATION:
         _take(own, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
-    elif guard.event_kind == REJOIN and is_sticking(at.time - course.contact_began, system.sticking_time[lash]):
+    elif guard.event_kind == REJOIN and at.time - course.contact_began > system.sticking_time[lash]:
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
         _take(own, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / course.static)
 
@@ -133,7 +132,7 @@ def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
         return is_primary(guard.side, course.last_side, course.from_sticking != 0)
     if guard.event_kind == OPENING:  # by force: it counts after a contact that held
         return course.from_sticking != 0
-    return guard.event_kind == SEPARATION and is_sticking(now - course.contact_began, system.sticking_time[lash])
+    return guard.event_kind == SEPARATION and now - course.contact_began > system.sticking_time[lash]
 
 
 @inlined_part

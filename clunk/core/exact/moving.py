@@ -14,10 +14,10 @@ from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 def to_coordinates(space: Workspace, flow: int) -> None:
     """From the states of the runs taken to their coordinates in a flow."""
     origins, coordinates = space.flows.origin, space.flows.coordinates
-    if space.mixed != 0:
+    if space.mixed:
         count = coordinates[0, 0].size
-        functionals.gather(space, origins, flow * origins[0, 0].size, origins[0, 0, 0].size, space.lane_state_origins)
-        functionals.gather(space, coordinates, flow * count, count, space.lane_table)
+        functionals.gather(space, origins, 4 * flow, origins[0, 0, 0].size, space.lane_state_origins)
+        functionals.gather(space, coordinates, flow, count, space.lane_table)
         _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
         _to_coordinates(space, origins[0, flow], coordinates[0, flow])
@@ -39,10 +39,10 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
 def to_states(space: Workspace, flow: int, mask: int) -> None:
     """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
     flows = space.flows
-    if space.mixed != 0:
+    if space.mixed:
         count, origins = flows.basis[0, 0].size, flows.origin[0, 0].size
-        functionals.gather(space, flows.origin, flow * origins, origins, space.lane_state_origins)
-        functionals.gather(space, flows.basis, flow * count, count, space.lane_table)
+        functionals.gather(space, flows.origin, flow, origins, space.lane_state_origins)
+        functionals.gather(space, flows.basis, flow, count, space.lane_table)
         _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
         _to_states(space, flows.origin[0, flow], flows.basis[0, flow])
@@ -66,8 +66,8 @@ def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
 def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> None:
     """Move each of the items taken by the span of the ladder with number k, or if `short` by a part of the shortest."""
     size, flows, table, places = space.behind, space.flows, space.flows.propagator, space.pool.places
-    if short and flows.modal[0, flow] == 0:
-        functionals.gather(space, flows.generator, flow * size * size, size * size, space.lane_table)
+    if short and not flows.modal[0, flow]:
+        functionals.gather(space, flows.generator, flow, size * size, space.lane_table)
         move_together(space.lane_table, part, space.pool.work, size, space.moved)
         return
     spans = table.shape[2] - 1

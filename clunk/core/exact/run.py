@@ -56,7 +56,6 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row.piece, row.rolled = begin_run(system, start, space.inputs[slot], log_of(space, slot))
     for lash in range(system.lash_count):
         space.numbers[slot, lash_at(space, lash) + rows.MARGIN] = MOST
-    row.last = 0.0
     _open_windows(space, slot, 0)
     set_static(space, slot, start)
     _enter(space, slot, 0.0, start.x, Entry(1, start.regime, -1, 0))
@@ -81,6 +80,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         _take_events(space, slot, row.count, entry.written)
     regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
+    row.rolled += turn_back(system, x)  # rigid flanks may have been moved
     copy(x, space.numbers[slot])  # a state for now; `moving.to_coordinates` makes coordinates of it
     if system.first_rolling >= 0:
         speeds = space.numbers[slot, system.inertias :]
@@ -171,12 +171,18 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     if not np.isfinite(total):
         _end(space, slot, NON_FINITE, time)
         return
-    if (by_event or system.friction_count > 0) and not may_switch(at, log, row.count, row.stages):
+    if (by_event or system.friction_count > 0) and not may_switch(system, log, row.count, row.stages):
         _end(space, slot, EVENT_BUFFER_FULL, time)
         return
     set_torque(system, space.loads[row.load], row.piece, time, at.inputs)
     if by_event:
-        entry = _switch(space, slot, at)
+        take_margin_of_event(space, slot, at)
+        if is_instant(at, log, row.count):
+            _open_windows(space, slot, row.count - 1)
+        entry = switch(at, log, row.regime, row.guard, row.count)
+        row.stages += entry.written == row.count  # one that is not written, which takes no room for events
+        note_impacts(space, slot, at, entry)
+        _take_events(space, slot, row.count, entry.written)
     else:
         numbers = space.numbers[slot, space.behind :]
         order = int(numbers[rows.ZERO_ORDER])
@@ -185,20 +191,6 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     _enter(space, slot, time, x, entry)
     if not by_event:
         take_margins_of_load(space, slot, at)
-
-
-@inlined_part
-def _switch(space: Workspace, slot: int, at: Moment) -> Entry:
-    """Switch by the guard that turned negative; take what that says of the run's margin and its windows."""
-    row, log = space.runs[slot], log_of(space, slot)
-    take_margin_of_event(space, slot, at)
-    if is_instant(at, row.last):
-        _open_windows(space, slot, row.count - 1)
-    entry = switch(at, log, row.regime, row.guard, row.count)
-    row.stages += entry.written == row.count  # one that is not written, which takes no room for events
-    note_impacts(space, slot, at, entry)
-    _take_events(space, slot, row.count, entry.written)
-    return entry
 
 
 @inlined_part
@@ -234,6 +226,5 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
     row, log = space.runs[slot], log_of(space, slot)
     roll_states(system_of(space, slot), row.rolled, log, first, written)
     for k in range(first, written):
-        row.last = log.events[k].time
         _close_phase(space, slot, k - 1)
         _open_windows(space, slot, k)

@@ -52,7 +52,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
 
         h, k, near = _longest_empty(known, shortest, space.flows.span.shape[2] if modal else 0)
         near &= present & ~done
-        if near != 0:
+        if near:
             functionals.expand(space, flow, f, sign, shift, origin)
             top, bottom, through = _search_series(space, known, shortest, time_left, near)
             done |= through
@@ -67,7 +67,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
     put_back(space.pool, space.pool.work, space.searches, space.behind + rows.BY_SIGN, present & ~done)
     push_all(space.pool, queue, present & ~done)
     lashes = space.system.lash_count
-    while done != 0:
+    while done:
         lane = vectors.first_of(done)
         done &= done - 1
         item = space.pool.items[lane]
@@ -84,7 +84,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
             deep = number == space.searches_each - 1
             take_margin_of_guard(space, slot, run.guard if deep else number - lashes, lowest, deep)
         run.searches -= 1
-        if run.searches == 0:
+        if not run.searches:
             push(space.pool, space.queues.follow, slot)
 
 
@@ -135,7 +135,7 @@ def _search_series(
     done = near & known.once & ~(vectors.load(c, 1) < 0.0)
     near &= ~done
     begin, width = 0.0 * left, left
-    while near != 0:  # several times only where the series may turn more than once
+    while near:  # several times only where the series may turn more than once
         falls = vectors.load(c, 1) < 0.0
         turns, straight, s = taylor.turning(c, space.moved, width)
         value, _, _ = taylor.derivatives(c, s)
@@ -147,7 +147,7 @@ def _search_series(
         passed = vectors.choose(passes, width, 0.0)
         begin += passed
         near &= ~done & (begin < left)
-        if near != 0:
+        if near:
             taylor.shift(c, passed)
             width = vectors.smaller(vectors.choose(passes, 2.0 * width, 0.5 * width), left - begin)
     return top, bottom, done

@@ -64,7 +64,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     moving.measure(pool.work, space.behind, space.amplitudes)
     _evaluate(space, regime, _START)
     kinks, at_most = 0, field(space, rows.TRY)
-    settled = _stays(space, regime) & present if flows.steady[0, flow] != 0 else 0
+    settled = _stays(space, regime) & present if flows.steady[0, flow] else 0
     if space.loads.shape[1] > 1:
         kinks = field(space, rows.KINK) > 0.0
         settled &= ~kinks
@@ -99,27 +99,27 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     set_field(space, rows.TRY, next_try)
     happened = (event >= 0.0) & advancing
     arrived = ends & kinks & ~lost
-    if (happened | arrived) != 0:
+    if happened | arrived:
         moving.to_states(space, flow, happened | arrived)
     changing = rows.of_lash(system.lash_count - 1) + rows.MARGIN
     put_back(pool, pool.work, space.numbers, space.behind + changing, advancing)
-    if happened != 0:
+    if happened:
         searching |= _find_depths(space, regime, event, happened)
 
     special = (settled | lost | ends | grazing | happened | searching) & present
-    close = close if flows.modal[0, flow] != 0 else -1  # without modes there are no longer spans
+    close = close if flows.modal[0, flow] else -1  # without modes there are no longer spans
     push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
     push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
     push_all(pool, space.queues.follow, special & ~searching)
     noted = special | failed
-    if noted == 0:
+    if not noted:
         return
     # how the step ended, the first that holds
     ended = vectors.choose(close, float(rows.NEARS), zero + float(rows.GOES_ON))
     ended = vectors.choose(happened, float(rows.BY_EVENT), vectors.choose(ends, float(rows.AT_END), ended))
     ended = vectors.choose(settled, float(rows.SETTLED), vectors.choose(lost, float(rows.LOST), ended))
     vectors.store(space.notes, 0, (ended, event, next_try))
-    while noted != 0:
+    while noted:
         lane = vectors.first_of(noted)
         noted &= noted - 1
         slot = pool.items[lane]
@@ -162,8 +162,8 @@ def _evaluate(space: Workspace, regime: int, row: int) -> None:
 
 @inlined_part
 def _functionals_seen(space: Workspace, regime: int) -> int:
-    """Number of functionals that a step sees; the last ones are the accelerations."""
-    return space.system.regimes[regime].watched + space.system.lash_count
+    """Number of functionals that a step sees; the last ones are the accelerations, but for impulsive touches."""
+    return space.system.regimes[regime].watched + space.system.lash_count * (1 - space.system.impulsive)
 
 
 @inlined_part
@@ -227,7 +227,7 @@ def _stays(space: Workspace, regime: int) -> int:
     """Lanes where guards stay positive for ever, without a miss that counts, and accelerations within their windows."""
     stays, watched = -1, space.system.regimes[regime].watched
     for n in range(_functionals_seen(space, regime)):
-        if stays == 0:
+        if not stays:
             break
         origin = _origin(space, space.system.regimes[regime].flow, _functional(space, regime, n))
         sway = vectors.load(space.seen, n * OF_SEEN + _SWAY)
@@ -299,7 +299,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         guard, order = system.guards[regime, n], _zero_order(space, n)
         start, sway = load_curve(space.seen, n * OF_SEEN + _START), vectors.load(space.seen, n * OF_SEEN + _SWAY)
         near = there & (~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (order >= 2.0))
-        if near == 0:
+        if not near:
             continue
         sign, shift = _sign(space, regime, n), _shift(space, regime, n)
         scale = _scale(space, regime, n) if guard.lash >= 0 else vectors.magnitude(shift)
@@ -347,11 +347,11 @@ def _first_zero(
     order = vectors.choose(starts & ~given, 1.0, order)
     for n in range(1, 4):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
         starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= 4.0 * noise)
-        order = vectors.choose(starts, n + 1.0, order)
+        order = vectors.choose(starts, vectors.larger(order, n + 1.0), order)
     near &= ~starts  # they move together, and nothing presses them on each other
     for n in range(3):  # zeros at the beginning are divided out
         shifted = order > float(n)
-        if shifted == 0:
+        if not shifted:
             break
         for j in range(TERMS):
             vectors.store(c, j, vectors.choose(shifted, vectors.load(c, j + 1), vectors.load(c, j)))
@@ -412,7 +412,7 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
             counts = elapsed - held_from
             may &= (counts > 0.0) & (_scale(space, regime, n) > 0.0) & ~(event == float(n))
             is_zero = _zero_order(space, n) > 1.0
-            if system.impulsive != 0 and _functional(space, regime, n) % system.functionals_per_lash == GAP:
+            if system.impulsive and _functional(space, regime, n) % system.functionals_per_lash == GAP:
                 all_but = ~(start.value == 0.0) & (start.value <= _ALL_BUT_ZERO * _scale(space, regime, n))
                 is_zero |= all_but & (elapsed <= h)
             may &= ~(is_zero & (held_from <= 0.0))
@@ -421,10 +421,10 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
             high = field_of(space, rows.WINDOW_MAX, n - watched)
             low = field_of(space, rows.WINDOW_MIN, n - watched)
             may &= (greatest > high) | (least < low)
-        if may != 0:
+        if may:
             monotone, bends_down = curves.turns_not(start, end, h)
             may &= ~(monotone | bends_down if n < watched else monotone)
-        if may != 0:
+        if may:
             _begin_search(space, regime, n, may, h, elapsed - h, counts, False)
         turns |= may
     return turns
@@ -449,7 +449,7 @@ def _begin_search(
     sign, shift = _sign(space, regime, n), _shift(space, regime, n)
     vectors.store(space.notes, 0, (time_left, began, top, bottom, sign, shift, counts, until))  # in the order of `rows`
     queue = space.queues.search + system.regimes[regime].flow * space.flows.watch.shape[2]
-    while mask != 0:
+    while mask:
         lane = vectors.first_of(mask)
         mask &= mask - 1
         slot = space.pool.items[lane]
@@ -474,13 +474,13 @@ def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) ->
         end, mask = load_curve(space.seen, n * OF_SEEN + _END), 0
         among = happened & (event == float(n)) & (_scale(space, regime, n) > 0.0)
         among &= ~(curves.falls_by(end) >= _bar(space, regime, n))  # it goes certainly deeper than the margin is
-        while among != 0:
+        while among:
             lane = vectors.first_of(among)
             among &= among - 1
             slot = space.pool.items[lane]
             mask |= label_hangs_on_depth(space, slot, n) << lane
             space.notes[0, lane] = system_of(space, slot).end_time[0]
         depths |= mask
-        if mask != 0:
+        if mask:
             _begin_search(space, regime, n, mask, vectors.load(space.notes, 0), elapsed, infinite, True)
     return depths

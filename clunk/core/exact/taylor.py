@@ -81,7 +81,7 @@ def first_zero(c: FloatArray, near: int, part: Vector) -> tuple[int, Vector, Vec
     for _ in range(_HALVINGS):
         crosses, positive, s, slope, half = crossing(c, part, False)
         unclear = near & ~crosses & ~positive
-        if unclear == 0:
+        if not unclear:
             break
         part = vectors.choose(unclear, 0.5 * part, part)
     return crosses & near | unclear, vectors.choose(unclear, 0.0, s), slope, half, part
@@ -112,7 +112,7 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
     alive = ~negative & (s >= 0.0)
     for _ in range(3):
         alive &= s <= length
-        if alive == 0:
+        if not alive:
             break
         value, slope_here, half_here = derivatives(c, s)
         moved = s - value * slope_here / (slope_here * slope_here - value * half_here)

@@ -42,7 +42,6 @@ RUN = np.dtype(
         ("ended", "i8"),  # how the last step did, see `rows.GOES_ON`
         ("guard", "i8"),  # the one that ended it, by an event
         ("time", "f8"),  # s, when the phase began; after the end, when the run did
-        ("last", "f8"),  # s, when the last event was
         ("rolled", "f8"),  # rad, by the first inertia that rolls; the angles of the run are less that
     ],
     align=True,

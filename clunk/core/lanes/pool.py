@@ -17,7 +17,7 @@ from clunk.core.lanes.vectors import ROW, WIDTH
 class Pool(NamedTuple):
     """Queues of items, and the items that have been taken; W lanes."""
 
-    waiting: IntArray  # (queues, items + 1)  with room for one that is not pushed
+    waiting: IntArray  # (queues, items + 1 or more)  with room for one that is not pushed
     length: IntArray  # (queues,)  how many wait
     work: FloatArray  # (numbers, W)  of the items taken
     items: IntArray  # (W,)  the items taken; the last row of their array in lanes that have none

@@ -58,9 +58,7 @@ _LANES = LanesType("Vector")
 register_model(LanesType)(lambda manager, of: models.PrimitiveModel(manager, of, _ROW))
 
 
-def _operation(code: Callable[..., Any]) -> Any:
-    """Decorate an intrinsic; its first argument, the typing context, is not the caller's."""
-    return intrinsic(code)
+_operation: Any = intrinsic  # for mypy: its first argument is not the caller's
 
 
 def _index(*lanes: int) -> ir.Constant:
@@ -134,7 +132,7 @@ def _by_llvm(name: str, sides: tuple[Any, ...]):
     """An operation on rows of lanes that LLVM has; numbers stand for the same in all lanes."""
 
     def emit(context, builder, signature, values):
-        lanes = [_as_lanes(builder, *side) for side in zip(signature.args, values, strict=True)]
+        lanes = _as_lanes(builder, signature.args, values)
         signature_of, full = ir.FunctionType(_ROW, [_ROW] * len(lanes)), f"llvm.{name}.v{WIDTH}f64"
         return builder.call(cgutils.get_or_insert_function(builder.module, signature_of, full), lanes)
 
@@ -159,8 +157,8 @@ def magnitude(typing, a):
     return _by_llvm("fabs", (a,))
 
 
-def _as_lanes(builder, type_, value):
-    return value if type_ == _LANES else _splat(builder, value)
+def _as_lanes(builder, of, values):
+    return [value if type_ == _LANES else _splat(builder, value) for type_, value in zip(of, values, strict=True)]
 
 
 def _binary(operations: tuple[Any, ...], result, emit: Callable[..., Any]) -> None:
@@ -173,9 +171,7 @@ def _binary(operations: tuple[Any, ...], result, emit: Callable[..., Any]) -> No
         return types_of
 
     def lower(context, builder, signature, values):
-        return emit(
-            builder, *(_as_lanes(builder, type_, value) for type_, value in zip(signature.args, values, strict=True))
-        )
+        return emit(builder, *_as_lanes(builder, signature.args, values))
 
     for operation in operations:
         type_callable(operation)(typed)
@@ -216,8 +212,7 @@ def choose(typing, bits, a, b):
 
     def emit(context, builder, signature, values):
         mask = builder.bitcast(builder.trunc(values[0], ir.IntType(WIDTH)), ir.VectorType(ir.IntType(1), WIDTH))
-        sides = (_as_lanes(builder, *side) for side in zip(signature.args[1:], values[1:], strict=True))
-        return builder.select(mask, *sides)
+        return builder.select(mask, *_as_lanes(builder, signature.args[1:], values[1:]))
 
     return _LANES(types.int64, a, b), emit
 

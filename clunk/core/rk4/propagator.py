@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clunk.core.arrays import ComplexArray, FloatArray, IntArray
-from clunk.core.exact.flows import CURVATURE, PAIRS, SWAY, Flows, halves
+from clunk.core.exact.flows import CURVATURE, PAIRS, SWAY, THIRD, Flows, halves
+from clunk.core.lanes.pool import whole
 from clunk.core.regimes import System, rolling_apart
 from clunk.core.status import UNSTABLE_STEP
 from clunk.core.tables import TORQUE, TORQUE_RATE
@@ -15,7 +16,6 @@ from clunk.core.tables import TORQUE, TORQUE_RATE
 BEND = (1.0, 0.25, 0.75, 1.5)
 STRIDE = 64  # steps in one product that tells nothing of what is between its ends, where a bound does: a power of 2
 IN_PLACE, STEP, STRIDES = range(3)  # tables of no step, which adds the outputs to a state, of one and of a stride
-_LANES = 8  # states and outputs are padded to whole SIMD blocks; `rk4.run` unrolls over one block of columns
 
 
 class Steps(NamedTuple):
@@ -79,8 +79,8 @@ def _propagators(system: System, step: float) -> tuple[FloatArray, FloatArray]:
     rows, rows_input = (
         np.stack(arrays, axis=2).reshape(flows, -1, arrays[0].shape[-1]) for arrays in zip(*shown, strict=True)
     )
-    columns = _padded(size)
-    width = _padded(columns + rows.shape[1])
+    columns = whole(size)
+    width = whole(columns + rows.shape[1])
     transfer, by_inputs = np.zeros((flows, 3, columns, width)), np.zeros((flows, driven, 3, width))
     seen = slice(columns, columns + rows.shape[1])
     for k, (across, across_input) in enumerate([(identity, 0.0 * inputs), (power, power_input), stride]):
@@ -91,10 +91,6 @@ def _propagators(system: System, step: float) -> tuple[FloatArray, FloatArray]:
         by_inputs[:, :, k, :size] = across_input.swapaxes(-1, -2)
         by_inputs[:, :, k, seen] = (rows @ across_input + rows_input).swapaxes(-1, -2)
     return transfer, by_inputs.reshape(flows, driven, -1)
-
-
-def _padded(count: int) -> int:
-    return -(-count // _LANES) * _LANES
 
 
 def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
@@ -121,14 +117,13 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     curvature = np.abs(1 + partial_steps * (1 + partial_steps / 2)).max(axis=0) + np.abs(partial_steps[-1]) ** 3 / 12
     squared = own**2 + turning
     slowest = np.where(squared > 0.0, squared, np.inf).min(axis=-2)
-    one, other = CURVATURE, CURVATURE + PAIRS
-    bending = np.hypot(flows.watch[..., one:other], flows.watch[..., other : other + PAIRS])  # (K, F, B, 4)
+    bending = np.hypot(*np.split(flows.watch[..., CURVATURE:THIRD], 2, axis=-1))  # (K, F, B, 4)
     parabola = (STRIDE * step) ** 2 / 8
     sag = np.minimum(parabola * curvature.max(axis=-2)[:, None] * bending, 2.0 / slowest[:, None] * bending)
     pairs = *bending.shape[:2], -1
 
     steady = flows.origin[:, 0, :, :states] @ flows.coordinates  # of y, by the inputs
-    rows = np.zeros((len(steady), _padded(size), steady.shape[-1]))
+    rows = np.zeros((len(steady), whole(size), steady.shape[-1]))
     rows[:, :states] = flows.coordinates
     if system.drift.size:
         rows[:, :states] = rolling_apart(system, states)[0].T @ rows[:, :states]

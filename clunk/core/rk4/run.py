@@ -67,9 +67,11 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     begin_windows(log, 0)
     grid = _grid_of(system, steps, load, piece)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
+    is_chosen = False  # the regime, by a friction's own event
     while True:
         time = begin + index * grid.step + offset
-        entry = recheck_frictions(Moment(system, time, x, inputs, WITHIN), log, entry)
+        if not is_chosen:
+            entry = recheck_frictions(Moment(system, time, x, inputs, WITHIN), log, entry)
         roll_states(system, rolled, log, written, entry.written)
         for k in range(written, entry.written):
             begin_windows(log, k)
@@ -78,7 +80,9 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         combine(steps.by_inputs[flow], room.weighed, room.by_inputs)
         extremes = log.extremes[entry.written - 1]
         while True:  # one expanded step, then full ones while nothing can happen in them, until a guard ends the phase
-            length, spanned = _next_length(grid, index, offset)
+            length, spanned = (grid.step if index < grid.full else grid.rest) - offset, 1
+            if length < _SHORTEST * grid.step and index + 1 < grid.last:
+                length, spanned = length + (grid.step if index + 1 < grid.full else grid.rest), 2
             rigid.keep_locked(system, entry.regime, x, inputs)
             expand(system, flow, x, room)
             s, guard = first_event(system, entry.regime, room, max(length, 0.0), zero_guard, entry.zero_order)
@@ -119,18 +123,18 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         written = entry.written
         rigid.keep_locked(system, entry.regime, x, inputs)
         if guard < 0:  # another piece of the load
-            at = Moment(system, begin, x, inputs, WITHIN)
-            if system.friction_count > 0 and not may_switch(at, log, written, stages):
+            if system.friction_count > 0 and not may_switch(system, log, written, stages):
                 return Outcome(EVENT_BUFFER_FULL, written, 0, begin)
-            entry = Entry(written, entry.regime, -1, 0)
+            entry, is_chosen = Entry(written, entry.regime, -1, 0), False
             continue
 
         began, time = time, begin + index * grid.step + offset
         at = Moment(system, time, x, inputs, tolerance_after(time - began))
-        if not may_switch(at, log, written, stages):
+        if not may_switch(system, log, written, stages):
             return Outcome(EVENT_BUFFER_FULL, written, 0, time)
-        if is_instant(at, log.events[written - 1].time):
+        if is_instant(at, log, written):
             begin_windows(log, written - 1)
+        is_chosen = system.guards[entry.regime, guard].successor < 0
         entry = switch(at, log, entry.regime, guard, written)
         stages += entry.written == written
         if spanned == 2 and offset >= grid.step:
@@ -183,15 +187,6 @@ def _grid_of(system: System, steps: Steps, load: FloatArray, piece: int) -> _Gri
     return _Grid(steps.step, full, rest, full + 1 if rest > 1e-9 * steps.step else full)
 
 
-@part
-def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
-    """Length of the next step, from an offset on, and the number of the grid's steps that end with it."""
-    length = (grid.step if index < grid.full else grid.rest) - offset
-    if length < _SHORTEST * grid.step and index + 1 < grid.last:
-        return length + (grid.step if index + 1 < grid.full else grid.rest), 2
-    return length, 1
-
-
 @inlined_part
 def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray) -> None:
     """out = affine + transferᵀ z. Summed in pairs, eight columns at a time, which LLVM vectorises."""
@@ -222,10 +217,10 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
     extremes, steps go one by one.
 
     extremes : (L, 2) float64  [rad/s2]
-        Of each lash's acceleration, updated.
+        Of each lash's acceleration, updated, but where touches are impulsive.
     """
     row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
-    columns, lashes, taken = steps.transfer.shape[2], system.lash_count, 0
+    columns, lashes, taken = steps.transfer.shape[2], system.lash_count * (1 - system.impulsive), 0
     next_stride = 0 if steps.strides[row.flow] else budget  # not before so many steps
     while taken < budget:
         is_stride = next_stride <= taken <= budget - STRIDE
@@ -240,13 +235,15 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
             table = STRIDES if is_stride else STEP
             _advance(steps.transfer[row.flow, table], room.affine[table], z, after)
             clear = _guards_exceed(room, row.guards, columns, after)
-        for lash in range(lashes if clear and (not is_stride or not system.impulsive) else 0):
+        for lash in range(lashes if clear else 0):
             functional = lash * system.functionals_per_lash + ACCELERATION
             at, own = columns + 4 * functional, extremes[lash]
             if max(z[at], after[at]) + sag[functional] > own[0] or min(z[at], after[at]) - sag[functional] < own[1]:
                 clear = not is_stride
                 if clear:
-                    _watch(z, after, at, own)
+                    c2, c3, c4 = z[at + 1] / BEND[1], z[at + 2] / BEND[2], z[at + 3] / BEND[3]
+                    high, low = quartic.extremes((z[at], after[at] - z[at] - c2 - c3 - c4, c2, c3, c4), 1.0)
+                    own[0], own[1] = max(own[0], after[at], high), min(own[1], after[at], low)
         if clear:
             copy(room.after, room.z)
             taken += STRIDE if is_stride else 1
@@ -279,12 +276,3 @@ def _guards_exceed(room: Room, guards: int, columns: int, z: FloatArray) -> bool
         if not room.sign[g] * z[columns + room.at[g]] + room.shift[g] > room.reach[room.at[g] // 4]:
             return False
     return True
-
-
-@inlined_part
-def _watch(z: FloatArray, after: FloatArray, at: int, extremes: FloatArray) -> None:
-    """Update an acceleration's extremes by those on one step from `z` to `after`, where it is output `at`."""
-    a, next_a = z[at], after[at]
-    c2, c3, c4 = z[at + 1] / BEND[1], z[at + 2] / BEND[2], z[at + 3] / BEND[3]
-    high, low = quartic.extremes((a, next_a - a - c2 - c3 - c4, c2, c3, c4), 1.0)
-    extremes[0], extremes[1] = max(extremes[0], next_a, high), min(extremes[1], next_a, low)

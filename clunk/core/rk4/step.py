@@ -97,8 +97,9 @@ def first_event(
 
     Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
     guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides; a
-    negative one within what `rubbing.choose_states` takes for zero. Where there is more than one element, so is one
-    that is within an instant of it: another one's event may have been located first.
+    negative one within what `rubbing.choose_states` takes for zero, or within an instant of it. So is a positive one
+    where there is more than one element: another one's event may have been located first. One that stays so near to
+    zero all the step does not turn negative.
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
@@ -106,11 +107,14 @@ def first_event(
         p, scale, of_rate = _quartic(system, system.regimes[regime].flow, system.guards[regime, guard].functional, room)
         p = sign * p[0] + shift, sign * p[1], sign * p[2], sign * p[3], sign * p[4]
         order, scale = zero_order if guard == zero_guard else 0, scale + abs(shift)
-        rounding = ROUNDING * scale
+        rounding, instant = ROUNDING * scale, INSTANT * abs(p[1])
         if system.element_count > 1:
-            rounding = max(rounding, INSTANT * abs(p[1]))
-        if order == 0 and -max(rounding, WITHIN * scale) <= p[0] <= rounding:
-            order = 1 if abs(p[1]) > ROUNDING * of_rate else 2
+            rounding = max(rounding, instant)
+        least = -max(rounding, WITHIN * scale, instant)
+        if least <= p[0] <= rounding:
+            if quartic.extremes(p, length)[1] >= least:
+                continue
+            order = order or (1 if abs(p[1]) > ROUNDING * of_rate else 2)
         for _ in range(order):
             p = p[1], p[2], p[3], p[4], 0.0
         s = quartic.first_negative(p, length)

@@ -1,0 +1,83 @@
+"""Odd drivelines: both methods, other units, another order of inertias and shafts, energy.
+
+pytest -m slow tests/test_oddities.py      1,000 of them in the place of 40
+"""
+
+import pytest
+from helpers.oddities import in_another_order, in_other_units, odd_table, study_of_table
+
+import clunk
+from clunk.core.events import TOUCH
+from clunk.simulation.energy import balance
+
+FOUND = (860, 1009, 2220, 2513, 3388, 5455, 6205)  # failed, or had other touches by the one method, until mended
+TWO_WITHOUT_A_GAP = 570  # side by side: which of them touches is not determined
+SEEDS = [
+    *range(60),
+    *FOUND,
+    *(
+        pytest.param(seed, marks=pytest.mark.slow)
+        for seed in range(40, 1000)
+        if seed not in (*FOUND, TWO_WITHOUT_A_GAP)
+    ),
+]
+COMPARED = 6  # touches of each lash: of many, each may magnify rounding
+REFUSED = (
+    "No initial flank: ",
+    "No steady motion before the load step that is the only one: ",
+    "Rigid lashes in a ring or side by side share a torque",
+    "found 0 in all stages",
+    "the states of lashes, staged shafts and frictions combine to",
+    "breakpoints must be in ascending order",
+)
+UNITS = {"a turbine": (10.0, 1e6), "a watch": (0.1, 1e-6)}  # factors on times and masses
+
+
+@pytest.fixture(scope="module", params=SEEDS)
+def table(request):
+    return odd_table(request.param)
+
+
+@pytest.fixture(scope="module")
+def run(table):
+    """By the exact method."""
+    try:
+        return clunk.simulate(study_of_table(table))
+    except clunk.ClunkError as refusal:
+        sentence = " ".join(str(refusal).split())
+        assert any(reason in sentence for reason in REFUSED), sentence
+        pytest.skip(sentence)
+
+
+def touches_of(run):
+    """Times of the first touches of each lash, with their flanks."""
+    of_lashes = []
+    for lash in range(len(run.lashes)):
+        touches = run.events[(run.events["kind"] == TOUCH) & (run.events["lash"] == lash)][:COMPARED]
+        of_lashes.append((touches["time"], touches["side"].tolist()))
+    return of_lashes
+
+
+def are_alike(one, other, unit=1.0, within=1e-8):
+    """Whether two runs have the same first touches; unit : of time, of the other one."""
+    for (times, sides), (others, other_sides) in zip(touches_of(one), touches_of(other), strict=True):
+        assert other_sides == sides
+        assert others / unit == pytest.approx(times, abs=within)
+
+
+def test_both_methods_have_the_same_touches(table, run):
+    are_alike(run, clunk.simulate(study_of_table(table, "rk4")), within=1e-5)  # s, half a step of rk4
+
+
+def test_units_change_nothing(table, run):
+    for time, mass in UNITS.values():
+        are_alike(run, clunk.simulate(study_of_table(in_other_units(table, time, mass))), time)
+
+
+def test_the_order_of_inertias_and_shafts_changes_nothing(table, run):
+    are_alike(run, clunk.simulate(study_of_table(in_another_order(table, 0))))
+
+
+def test_energy_closes(run):
+    energy = balance(run)
+    assert abs(energy.residual) <= 1e-8 * energy.largest + 1e-20  # J, where nothing moves at all
