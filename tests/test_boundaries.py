@@ -281,6 +281,8 @@ def test_a_logarithmic_axis_is_measured_in_its_logarithm():
 
 def test_geojson_has_closed_rings_in_the_right_sense(coarse):
     features = json.loads(json.dumps(coarse.geojson()))["features"]
+    assert "lash" not in coarse.geojson()  # of one; of several it names theirs
+    assert dataclasses.replace(coarse, lash="gearbox").geojson()["lash"] == "gearbox"
     counts = Counter(feature["geometry"]["type"] for feature in features)
     assert counts == {
         "Polygon": len(coarse.regions),

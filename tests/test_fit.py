@@ -152,6 +152,36 @@ def test_values_in_another_unit_are_not_met_and_the_fit_says_so(measured: Experi
     assert any("0 of 8 values of impact_time" in each and "in s?" in each for each in wrong.warnings)
 
 
+@pytest.mark.parametrize(
+    ("measured", "computed", "pairs"),
+    [
+        ("DS(1)SS(2)", "DS(2)SS(1)", {0: 0, 1: 1, 2: 3, 3: 4}),  # O I I I and O I O I I
+        ("DS(1)SS(1)", "DS(2)SS(1)", {0: 0, 1: 1, 2: 3}),
+        ("DS(1)SS(3)", "DS(3)SS(3)", {0: 0, 1: 1, 2: 3, 3: 5, 4: 6}),
+        ("DS(2)", "SS(2)", {1: 0, 3: 1}),
+    ],
+)
+def test_impacts_go_together_in_order_as_many_as_can_and_the_earliest(
+    measured: str, computed: str, pairs: dict
+) -> None:
+    assert fitting.partners(flanks_of_label(measured), flanks_of_label(computed)) == pairs
+
+
+def test_times_are_met_where_a_label_has_a_crossing_less() -> None:
+    """The first two impacts of runs of DS(2)SS(1), whose labels were written down as DS(1)SS(2)."""
+    gap = PRIOR.format("lash.backlash_deg", "factor", 0.999, 1.001)
+    ratios = [7.75, 8.25]
+    runs = run_points(study_from_text(RIG), {"load.ratio": ratios, "lash.backlash_deg": [3.0, 3.0]})
+    assert runs.label_map.tolist() == ["DS(2)SS(1)"] * 2
+    lines = ["load_ratio,lash_backlash_deg,label,impact_time_1,impact_time_2,impact_time_std"]
+    for ratio, first in zip(ratios, runs.first_impact, strict=False):
+        times = runs.impact_time[first : first + 2]
+        lines.append(f"{ratio},3,DS(1)SS(2),{times[0]},{times[1]},0.001")
+    fitted = clunk.fit(study_of(gap), experiment_of("\n".join(lines), "rig.csv"))
+    assert fitted.met == 0
+    assert fitted.met_impacts == [{"quantity": "impact_time", "measured": 4, "met": 4}]
+
+
 def test_a_fit_does_not_change_the_digest_of_a_sweep() -> None:
     assert digest(study_of(GAP)) == digest(study_from_text(RIG))
 
@@ -232,6 +262,14 @@ def test_the_fitted_config_has_the_labels_of_the_best_candidate_where_they_were_
     assert study.sweep.axes[1].values == pytest.approx(fitted.estimate[0] * np.array(gaps))
     computed = [fitted.labels[code] for code in fitted.estimate_matches["label"]]
     assert sweep(study).label_map.T.ravel().tolist() == computed  # measured with the load ratio first
+
+
+def test_an_offset_moves_each_value_of_a_logarithmic_axis(measured: Experiment) -> None:
+    axis = '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nstart = 1.0\nstop = 100.0\ncount = 3\nscale = "log"\n'
+    offset = PRIOR.format("lash.backlash_deg", "offset", 1.9, 2.1)
+    fitted = fitting.fit(study_from_text(RIG + axis + SMALL + offset), measured)
+    moved = fitted_study(fitted).sweep.axes[0].grid
+    assert moved == pytest.approx(np.array([1.0, 10.0, 100.0]) + fitted.estimate[0])
 
 
 def test_the_same_seed_gives_the_same_fit_which_is_drawn_on_two_maps(tmp_path: Path) -> None:

@@ -264,7 +264,7 @@ class Fitted(Record):
         events = order_of_events(flanks_of_label(label), flanks_of_label(computed))
         if match["change"] == 0.0:
             return f"{events} No factor that was tried on one measured value brings about the measured label."
-        return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
+        return f"{events} At {math.exp(match['change']):.4g} times {axis} it would be the measured label."
 
     def intervals(self) -> Floats:
         """(d, 2) 5 and 95 % quantiles of each parameter in the ensemble."""
@@ -381,8 +381,11 @@ def fitted_study(fitted: Fitted) -> Study:
     for key, value in with_draws(study, {}, priors, fitted.estimate).items():
         document = with_value(document, located(study, key)[0], float(value))
     acted_on = {each.parameter for each in priors} - {each.parameter for each in priors if each.draws == "value"}
-    for axis in document.get("sweep", {}).get("axes", ()):
-        for end in {"start", "stop", "values"} & axis.keys() if axis["parameter"] in acted_on else ():
+    for axis, own in zip(document.get("sweep", {}).get("axes", ()), study.swept.axes, strict=True):
+        if own.scale == "log" and own.parameter in acted_on:  # an offset leaves no equal ratios
+            axis.clear()
+            axis |= {"parameter": own.parameter, "values": own.grid}
+        for end in {"start", "stop", "values"} & axis.keys() if own.parameter in acted_on else ():
             measured = {axis["parameter"]: np.array(axis[end])}
             values = with_draws(study, measured, priors, fitted.estimate)[axis["parameter"]].tolist()
             axis[end] = tuple(values) if end == "values" else values

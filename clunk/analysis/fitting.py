@@ -16,7 +16,6 @@ distance: unlike a run's margin, which says how near *any* other label is, and s
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from difflib import SequenceMatcher
 from itertools import product
 
 import numpy as np
@@ -197,9 +196,25 @@ def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
 
 
 def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]:
-    """Impacts of two sequences that correspond: number of the measured -> number of the computed one."""
-    blocks = SequenceMatcher(None, measured, computed, autojunk=False).get_matching_blocks()
-    return {a + k: b + k for a, b, size in blocks for k in range(size)}
+    """Impacts of two sequences that correspond: number of the measured -> number of the computed one.
+
+    In the same order, as many as can be, and the earliest of these.
+    """
+    m, n = len(measured), len(computed)
+    most = [[0] * (n + 1) for _ in range(m + 1)]  # that can from two impacts on
+    for a, b in product(reversed(range(m)), reversed(range(n))):
+        alike = measured[a] == computed[b]
+        most[a][b] = 1 + most[a + 1][b + 1] if alike else max(most[a + 1][b], most[a][b + 1])
+    partner, a, b = {}, 0, 0
+    while a < m and b < n:
+        if measured[a] == computed[b]:
+            partner[a] = b
+            a, b = a + 1, b + 1
+        elif most[a + 1][b] > most[a][b + 1]:
+            a += 1
+        else:
+            b += 1
+    return partner
 
 
 def outlier_misfit(deviation: Floats | float) -> Floats:

@@ -34,7 +34,7 @@ _STARTS = 4
 _EXPLORED = 1 << 15  # runs
 _POPULATION = 16  # candidates of a generation for each free number
 _GENERATIONS = 300  # of a start, at most
-_SAME = 1e-3  # of the best merit, by which those of starts that found the same differ
+_SAME = 1e-3  # of the best value, by which those of starts that found the same differ
 _FRONT = 9  # optima of a trade-off
 
 
@@ -167,7 +167,7 @@ class Problem:
         self._runner = Runner(self.study, sorted(keys), workers=workers)
         self.as_it_is = np.full((1, self.low.size), np.nan)
         self.before = self(self.as_it_is)
-        self.size = abs(float(self.before.value[0])) or 1.0
+        self.size = abs(float(self.before.value[0]))
 
     @property
     def explored(self) -> int:
@@ -330,7 +330,7 @@ def optimize(
             corners = [*islice(product(*zip(problem.low, problem.high, strict=True)), problem.explored // 2)]
             points[: len(corners)] = corners  # which no search meets by chance
             outcomes = problem(points)
-            if not math.isfinite(problem.size):  # the config as it is fails
+            if not 0.0 < problem.size < math.inf:  # the config as it is fails, or tells no size
                 problem.size = float(np.median(np.abs(np.nan_to_num(outcomes.value, posinf=1.0)))) or 1.0
             merits = problem.merit(outcomes)
             explored.append(points[merits.argmin()])
@@ -347,22 +347,20 @@ def optimize(
 def front(study: Study, quantity: str, **options: Any) -> Front:
     """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
 
-    Where the best has 0 or less of it, the front is that one point.
-
     quantity : a number, such as severity; options : as of `optimize`
 
     Raises ClunkError where no values are found for which all conditions hold, and KeyboardInterrupt with the Front so
     far as its first argument, or as `optimize` does.
     """
     table = _table(study)
-    if quantity_of(quantity, study).type in (TEXT, YES_NO):
-        raise ClunkError(f"{quantity} cannot be traded: its values have no order; severity, for example, can.")
+    if quantity_of(quantity, study).type in (TEXT, YES_NO) or quantity == "margin":
+        raise ClunkError(f"{quantity} cannot be traded: less of it is not better; severity, for example, can.")
     best = optimize(study, shown=quantity, **options)
     if not best.holds:
         raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
     points = [best]
     try:
-        for bound in np.unique(np.linspace(0.0, max(best.quantities[quantity], 0.0), _FRONT))[-2::-1]:
+        for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
             bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
             found = optimize(study.but(optimize=bounded), shown=quantity, **options)
             if not found.holds:
@@ -398,8 +396,9 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
 def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum:
     """The best of the candidates that starts have found."""
     outcomes = problem(np.array(found))
-    merits = problem.merit(outcomes)
-    k = int(np.argmin(merits))
+    k = int(problem.merit(outcomes).argmin())
+    holds = bool(outcomes.excess[k] == 0.0 and np.isfinite(outcomes.value[k]))
+    least = np.where(outcomes.excess > 0.0, np.inf, outcomes.value) if holds else outcomes.excess
     parameters = {key: values.item() for key, values in problem.parameters(found[k][None]).items()}
     quantities = {name: values[k].item() for name, values in outcomes.quantities.items()}
     before = problem.before.quantities | problem.parameters(problem.as_it_is)
@@ -410,11 +409,11 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
         quantities=quantities,
         margin=float(outcomes.margin[k]),
         share=float(outcomes.share[k]) if problem.shape[1] > 1 else None,
-        found=int((merits <= merits[k] + _SAME * abs(merits[k])).sum()),
+        found=int((least <= least[k] + _SAME * abs(least[k])).sum()),
         runs=problem.runs,
-        holds=bool(outcomes.excess[k] == 0.0 and np.isfinite(outcomes.value[k])),
+        holds=holds,
         changes=tuple(
-            {"": name, "as it is": before[name].item(), "best": best}
+            {"name": name, "as it is": before[name].item(), "best": best}
             for name, best in (parameters | quantities).items()
         ),
     )

@@ -44,6 +44,8 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
         for claim in claims:
             tables.tell(claim, as_json)
             click.echo()
+    if coarsen > 1:
+        click.echo(f"note: maps have one of {coarsen} values an axis, on which shares and thresholds depend", err=True)
     terminal.say_written(output)
     failed = [claim for claim in claims if claim.failed]
     if failed:

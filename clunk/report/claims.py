@@ -270,7 +270,7 @@ def _severity(e: Evidence) -> Iterator[Claim]:
     yield _agrees(
         "§3.3.2, §5.1",
         "global trend: severity rises with the load ratio",
-        f"in {rising:.1%} of the steps up in σr; it falls by {fall:.0%} at most, {place}",
+        f"in {rising:.1%} of the steps up in σr" + (f"; it falls by {fall:.0%} at most, {place}" if fall > 0.0 else ""),
         rising > 0.9 and fall < 0.2,
     )
     ridge = ridge_of(ours.severity)  # NaN where Q is largest at neither end

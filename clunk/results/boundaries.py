@@ -180,7 +180,7 @@ class Boundaries:
     def geojson(self) -> dict[str, Any]:
         """A FeatureCollection: regions as polygons, curves as lines, junctions as points.
 
-        Coordinates are the axes' values in the order of the axes.
+        Coordinates are the axes' values in the order of the axes. Of several lashes `lash` names the one they are of.
         """
         features: list[tuple[str, list[Any], dict[str, Any]]] = []
         for region in self.regions:
@@ -194,6 +194,7 @@ class Boundaries:
         return {
             "type": "FeatureCollection",
             "axes": [axis.parameter for axis in self.axes],
+            **({"lash": self.lash} if self.lash else {}),
             "features": [
                 {"type": "Feature", "geometry": {"type": shape, "coordinates": points}, "properties": properties}
                 for shape, points, properties in features
