@@ -13,7 +13,7 @@ from clunk.simulation.energy import balance
 FOUND = (860, 1009, 2220, 2513, 3388, 5455, 6205)  # failed, or had other touches by the one method, until mended
 TWO_WITHOUT_A_GAP = 570  # side by side: which of them touches is not determined
 SEEDS = [
-    *range(60),
+    *range(40),
     *FOUND,
     *(
         pytest.param(seed, marks=pytest.mark.slow)

@@ -7,7 +7,7 @@ import numpy as np
 
 from clunk.core import rigid, rubbing
 from clunk.core.arrays import FloatArray
-from clunk.core.events import INSTANT, LOAD_STEP, STAGE, TOUCH
+from clunk.core.events import INSTANT, LOAD_STEP, SEPARATION, STAGE, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
 from clunk.core.regimes import System, guard_of, lash_of, speed_of, turn_back
@@ -147,6 +147,13 @@ def is_instant(at: Moment, log: Log, count: int) -> bool:
 
 
 @inlined_part
+def chooses(system: System, regime: int, guard: int) -> bool:
+    """Whether what follows a guard is chosen with the states of all that rests: frictions need not be asked again."""
+    row = system.guards[regime, guard]
+    return row.successor < 0 or (system.impulsive != 0 and row.event_kind == SEPARATION)
+
+
+@inlined_part
 def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
     """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
 
@@ -161,7 +168,7 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
         speed = speed_of(system, lash, at.x)
         if system.impulsive and row.event_kind == TOUCH:
             return rigid.strike(at, log, regime, guard, speed, count)
-    is_chosen = row.successor < 0 or (lash >= 0 and system.impulsive)
+    is_chosen = chooses(system, regime, guard)
     if is_chosen:
         entry = rigid.enter_chosen(at, log, regime, guard, 0, count)
     is_written = log.states.shape[0] > 0 if lash < 0 else not is_chosen

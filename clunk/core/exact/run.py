@@ -44,7 +44,7 @@ from clunk.core.runs import (
 )
 from clunk.core.status import EVENT_BUFFER_FULL, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import copy, weigh
-from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, set_weighed, switch
+from clunk.core.switching import begin_run, chooses, is_instant, may_switch, recheck_frictions, set_weighed, switch
 
 
 @inlined_part
@@ -66,14 +66,14 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue.
 
     The load goes on to its piece at that time. Frictions that can no longer stick there begin to slip, which is an
-    event; they are not asked where a friction's own event has just chosen the regime.
+    event; they are not asked where the event has just chosen their states.
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, load, before = space.numbers[slot, space.behind :], space.loads[row.load], row.piece
     row.piece = go_on(system, load, before, time, x, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
-    is_chosen = row.ended == rows.BY_EVENT and system.guards[row.regime, row.guard].successor < 0
+    is_chosen = row.ended == rows.BY_EVENT and chooses(system, row.regime, row.guard)
     if system.friction_count > 0 and not (is_chosen and row.piece == before):
         row.count = entry.written
         entry = recheck_frictions(Moment(system, time, x, inputs, WITHIN), log_of(space, slot), entry)

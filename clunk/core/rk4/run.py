@@ -24,7 +24,7 @@ from clunk.core.rubbing import WITHIN, tolerance_after
 from clunk.core.runs import BEGIN, Entry, Log, Moment, Outcome, Start, begin_windows, end_of_piece, go_on, roll_states
 from clunk.core.status import EVENT_BUFFER_FULL, INTERRUPTED, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import combine, copy, weigh
-from clunk.core.switching import begin_run, is_instant, may_switch, recheck_frictions, switch
+from clunk.core.switching import begin_run, chooses, is_instant, may_switch, recheck_frictions, switch
 from clunk.core.tables import ACCELERATION
 
 _BETWEEN_LOOKS = 256  # full steps, at whether the run is settled, and at the stop flag
@@ -67,7 +67,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     begin_windows(log, 0)
     grid = _grid_of(system, steps, load, piece)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
-    is_chosen = False  # the regime, by a friction's own event
+    is_chosen = False  # the states of frictions, by the event that ended the phase before
     while True:
         time = begin + index * grid.step + offset
         if not is_chosen:
@@ -134,7 +134,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             return Outcome(EVENT_BUFFER_FULL, written, 0, time)
         if is_instant(at, log, written):
             begin_windows(log, written - 1)
-        is_chosen = system.guards[entry.regime, guard].successor < 0
+        is_chosen = chooses(system, entry.regime, guard)
         entry = switch(at, log, entry.regime, guard, written)
         stages += entry.written == written
         if spanned == 2 and offset >= grid.step:
