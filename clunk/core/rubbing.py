@@ -225,7 +225,7 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     size += slope_size * at.time
     if -way * torque > at.within * size:
         return -way * torque / size
-    return at.within if way * torque < at.within * size and way * slope < -at.within * slope_size else 0.0
+    return WITHIN if way * torque <= at.within * size and way * slope < -at.within * slope_size else 0.0
 
 
 @part
