@@ -47,7 +47,7 @@ def locked(matrix: FloatArray, inertia: FloatArray, ties: FloatArray) -> FloatAr
 class Reduction(NamedTuple):
     """Coordinates y in which a flow has no constraint: (θ, θ') = expand y + shift (s φ/2) and y = pick (θ, θ').
 
-    There is a column of shift, and an s φ/2, for each lash.
+    There is a column of shift, and an s φ/2, for each lash; and for each friction, with the twist at which it sticks.
     """
 
     expand: FloatArray
@@ -56,7 +56,7 @@ class Reduction(NamedTuple):
 
 
 def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
-    """Without the angle of one inertia at each closed lash, which q = s φ/2 and q' = 0 give.
+    """Without the angle of one inertia at each closed lash, which q = s φ/2 and q' = 0 give; so of stuck frictions.
 
     It is the last of those that turn as q does, not through the gear ratio: q' is then zero to the last bit. Of the
     rows of `expand`, none has more than one entry for the angles. A lash that the others lock adds nothing.

@@ -327,7 +327,7 @@ def _first_zero(
 
     near : the lanes that are concerned
     order : how many of a guard's derivatives are zero at the beginning, itself included
-    noise, scale : its rounding, and what its grazing is relative to
+    noise, scale : its rounding, and what its grazing is relative to: 0 for a lash's guard that makes no margin
 
     Returns
     -------
