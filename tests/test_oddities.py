@@ -10,18 +10,26 @@ import clunk
 from clunk.core.events import TOUCH
 from clunk.simulation.energy import balance
 
-FOUND = (860, 1009, 2220, 2513, 3388, 5455, 6205)  # failed, or had other touches by the one method, until mended
+FOUND = (
+    678,
+    860,
+    1009,
+    2220,
+    2513,
+    3388,
+    5455,
+    6205,
+    7131,
+)  # failed, or had other touches by the one method, until mended
 TWO_WITHOUT_A_GAP = 570  # side by side: which of them touches is not determined
-MOVED = 678  # of two rigid lashes that part at one time, one is moved onto its flank by the other one, and touches
 SEEDS = [
     *range(40),
     *FOUND,
     *(
         pytest.param(seed, marks=pytest.mark.slow)
         for seed in range(40, 1000)
-        if seed not in (*FOUND, TWO_WITHOUT_A_GAP, MOVED)
+        if seed not in (*FOUND, TWO_WITHOUT_A_GAP)
     ),
-    pytest.param(MOVED, marks=[pytest.mark.slow, pytest.mark.xfail(strict=False)]),
 ]
 COMPARED = 6  # touches of each lash: of many, each may magnify rounding
 REFUSED = (

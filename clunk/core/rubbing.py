@@ -225,7 +225,9 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     size += slope_size * at.time
     if -way * torque > at.within * size:
         return -way * torque / size
-    return WITHIN if way * torque <= at.within * size and way * slope < -at.within * slope_size else 0.0
+    # without a gap they press on one side or the other at once
+    is_zero = way * torque < at.within * size or (torque == 0.0 and at.inputs[gap_input(lash)] == 0.0)
+    return WITHIN if is_zero and way * slope < -at.within * slope_size else 0.0
 
 
 @part
