@@ -108,11 +108,8 @@ def _measure_runs(
         driveline = cases.drivelines[k % cases.drivelines.size]
         system = reference_at(room.systems, driveline, system)
         size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, -1, system.lash_count
-        x, shortest, load = (
-            room.z[:size],
-            INSTANT if system.element_count > 1 else 0.0,
-            cases.loads[k % cases.loads.shape[0]],
-        )
+        x, load = room.z[:size], cases.loads[k % cases.loads.shape[0]]
+        shortest = INSTANT if system.element_count > 1 else 0.0
         events, written = output.logs[k], 0
         while written < events.size and not np.isnan(events[written].time):
             written += 1

@@ -11,9 +11,9 @@ import numpy as np
 import tomli_w
 
 from clunk.study.config import study_from_text
+from helpers.studies import PROFILES
 
 RATIOS = (1.0, 1.0, 1.0, -1.0, 2.5, -0.4)
-PROFILES = ("step", "ramp", "smooth", "lag", "pulse", "sine", "table", "steps")
 
 
 def odd_table(seed):
@@ -55,21 +55,18 @@ def study_of_table(table, method="exact"):
     return study_from_text(tomli_w.dumps(table | {"solver": table["solver"] | {"method": method}}))
 
 
-def in_other_units(table, time, mass, angle=1.0):
-    """The tables with times, masses and angles in other units, without the sweep: so many times the numbers each."""
+def in_other_units(table, time, mass):
+    """The tables with times and masses in other units, without the sweep: so many times the numbers."""
     table = tomllib.loads(tomli_w.dumps(table))
     table.pop("sweep", None)
-    stiffness, torque = mass / time**2, mass / time**2 * angle
+    torque = mass / time**2  # and stiffness
     driveline, load, solver = table["driveline"], table["load"], table["solver"]
     _times(driveline, mass, "inertias")
     for shaft in driveline.get("shafts", []):
-        _times(shaft, stiffness, "stiffness")
+        _times(shaft, torque, "stiffness", "friction")
         _times(shaft, mass / time, "damping")
-        _times(shaft, torque, "friction")
-        _times(shaft, angle, "breakpoints_deg")
     for lash in _lashes_of(table):
-        _times(lash, angle, "backlash_deg")
-        _times(lash["contact"], stiffness, "stiffness")
+        _times(lash["contact"], torque, "stiffness")
         _times(lash["contact"], mass / time, "damping")
     _times(load, torque, "initial_torque", "final_torque", "amplitude", "torques")
     _times(load, time, "duration", "time_constant", "durations", "times")
@@ -170,10 +167,8 @@ def _shaft(rng, lightest, torque):
 def _load(rng, before, count):
     profile = str(rng.choice(PROFILES))
     load = {"on": int(rng.integers(1, count + 1)), "profile": profile}
-    after, length = (
-        float(rng.choice([0.0, -0.3, 0.2, 1.0, 2.0])) * before,
-        float(rng.choice([0.0, _between(rng, 0.003, 0.5)])),
-    )
+    after = float(rng.choice([0.0, -0.3, 0.2, 1.0, 2.0])) * before
+    length = float(rng.choice([0.0, _between(rng, 0.003, 0.5)]))
     if profile == "table":
         times = [0.0, *np.cumsum(rng.choice([0.0, 0.05, 0.1], 4)).tolist()]
         while any(times.count(time) > 2 for time in times):

@@ -16,7 +16,7 @@ def to_coordinates(space: Workspace, flow: int) -> None:
     origins, coordinates = space.flows.origin, space.flows.coordinates
     if space.mixed:
         count = coordinates[0, 0].size
-        functionals.gather(space, origins, 4 * flow, origins[0, 0, 0].size, space.lane_state_origins)
+        functionals.gather(space, origins, flow * origins.shape[2], origins[0, 0, 0].size, space.lane_state_origins)
         functionals.gather(space, coordinates, flow, count, space.lane_table)
         _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
