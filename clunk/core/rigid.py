@@ -19,8 +19,8 @@ from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
-_ROLLING_TIME = 0.01  # s, of rolling: the coordinates of modes are rounded as its angle is
 _STILL = 1e-9  # of a lash's fastest touch: rounding tells whether flanks of another one that are slower approach
+_SWING = 0.1  # rad, of the motion to come, which rounds a gap as it goes on
 _APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
 
 
@@ -85,8 +85,8 @@ def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds:
         twist, size = rubbing.twist_of(system, system.lashes[other], at.x)
         its_speed = speed_of(system, other, at.x)
         gap = at.inputs[gap_input(other)]
-        # `_part_by` moves one of those that part at one time
-        is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 3.0 * _APART * (gap + size)
+        moved = _APART * (gap + size + _SWING)  # by `_part_by`, or so the other lash
+        is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 2.0 * moved
         is_near &= abs(its_speed) > _STILL * log.courses[lash].fastest
         if other == lash or system.contacts[regime, other].closed or not is_near:
             continue
@@ -173,7 +173,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     touched : int
         The lashes that touch at this moment, as bits, which lock or never were closed.
     """
-    system, x, before, first = at.system, at.x, _resting_on(at, log, regime, count), -1
+    system, x, before = at.system, at.x, _resting_on(at, log, regime, count)
     successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
     lashes, held = range(system.lash_count * system.impulsive), held_with(system, successor, -1)
     for lash in lashes:
@@ -183,18 +183,31 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
             count += 1
     # separations of flanks at rest: of those closed before, and open now, or closed on the other side, without a gap,
     # which is a separation, a touch and a lock
+    resting = 0  # on each other, whether they are closed or not
+    for lash in lashes:
+        resting |= (system.contacts[before, lash].closed != 0 or rubbing.rest(at, lash)) << lash
     for lash in lashes:
         side, now = system.contacts[before, lash].side, system.contacts[successor, lash].side
+        others = resting & ~(1 << lash)
+        if side == 0 and resting >> lash & 1:  # that of the others would move it by rounding
+            twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
+            _part_by(_APART, at, others, lash, 1 if twist > 0.0 else -1)
         if side in (0, now):
             continue
         is_carried = now == 0 and rubbing.is_carried(at, successor, lash)
+        torque_held, slope, scale = holding_torque(at, successor, lash)
+        # where a jump parts them, q'' is not zero
+        clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * scale
         if now:
             _hold(system, held & ~(1 << lash), lash, x, 0.0)
-        elif not is_carried and first < 0 and zero_guard < 0:
-            first = lash  # released where it was held, but for what rounding has added up
-            _hold(system, held, lash, x, side * at.inputs[gap_input(lash)])
+        elif not is_carried and zero_guard < 0 and (clearly or system.lash_count == 1):
+            # released where it was held, but for what rounding has added up; unless it presses, only the load's slope
+            # may tell what zero is
+            zero_guard = _touch_of(system, successor, lash, side)
+            zero_order = 2 if clearly or side * slope > 0.0 else 3
+            _hold(system, others, lash, x, side * at.inputs[gap_input(lash)])
         else:
-            _part_by(_APART, at, held, lash, side)
+            _part_by(_APART, at, others, lash, side)
         if is_carried:
             rubbing.stick_all(system, x, at.inputs)
         elif not touched >> lash & 1:
@@ -205,12 +218,6 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
                 record(at, log, count, 0.0, TOUCH, free, lash, now)
                 record(at, log, count + 1, 0.0, LOCK, successor, lash, now)
                 count += 2
-    if first >= 0:
-        torque_held, slope, scale = holding_torque(at, successor, first)
-        # where a jump parts them, q'' is not zero; unless it presses, only the load's slope may tell what zero is
-        side = system.contacts[before, first].side
-        clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * at.time) or side * slope > 0.0
-        zero_guard, zero_order = _touch_of(system, successor, first, side), 2 if clearly else 3
     if log.states.shape[0] > 0 and log.events[count - 1].regime != successor:
         record(at, log, count, 0.0, STAGE, successor, -1, 0)
         count += 1
@@ -235,11 +242,8 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
 @part
 def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
     """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
-    gap, row, n = at.inputs[gap_input(lash)], at.system.lashes[lash], at.system.inertias
-    _, size = rubbing.twist_of(at.system, row, at.x)
-    for k in range(n, 2 * n):
-        size += _ROLLING_TIME * abs(row[k] * at.x[k])
-    _hold(at.system, held, lash, at.x, side * (gap - share * (gap + size)))
+    gap, (_, size) = at.inputs[gap_input(lash)], rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
+    _hold(at.system, held, lash, at.x, side * (gap - share * (gap + size + _SWING)))
 
 
 @part
@@ -259,10 +263,14 @@ def _locking_speed(at: Moment, log: Log, regime: int, lash: int, speed: float) -
 
 @part
 def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, float]:
-    """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it."""
+    """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it so far.
+
+    That is of those that make its rate, too: a torque that has fallen to zero is rounded as what it has fallen by.
+    """
     force = lash * at.system.functionals_per_lash + FORCE
     torque_held, scale = rubbing.derivative(at, regime, force, 0)
-    return torque_held, rubbing.derivative(at, regime, force, 1)[0], scale
+    slope, slope_scale = rubbing.derivative(at, regime, force, 1)
+    return torque_held, slope, scale + slope_scale * at.time
 
 
 @part

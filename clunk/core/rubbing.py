@@ -225,8 +225,7 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     size += slope_size * at.time
     if -way * torque > at.within * size:
         return -way * torque / size
-    # without a gap they press on one side or the other at once
-    is_zero = way * torque < at.within * size or (torque == 0.0 and at.inputs[gap_input(lash)] == 0.0)
+    is_zero = way * torque <= at.within * size
     return WITHIN if is_zero and way * slope < -at.within * slope_size else 0.0
 
 
@@ -306,9 +305,13 @@ def _is_held(system: System, regime: int, functional: int) -> bool:
 @part
 def is_carried(at: Moment, regime: int, lash: int) -> bool:
     """Whether the rigid flanks of an open lash rest on each other, and what sticks or is locked holds them there."""
-    system, half_gap = at.system, at.inputs[gap_input(lash)]
-    twist, size = twist_of(system, system.lashes[lash], at.x)
-    rests = half_gap - abs(twist) <= WITHIN * (half_gap + size)
-    rate, most = _rate(system, system.lashes[lash], 0.0, at.x)
-    held = _is_held(system, regime, lash * system.functionals_per_lash + FORCE)
-    return system.friction_count > 0 and held and rests and abs(rate) <= WITHIN * most
+    held = _is_held(at.system, regime, lash * at.system.functionals_per_lash + FORCE)
+    return at.system.friction_count > 0 and held and rest(at, lash)
+
+
+@part
+def rest(at: Moment, lash: int) -> bool:
+    """Whether the rigid flanks of a lash rest on each other, but for rounding."""
+    half_gap, (twist, size) = at.inputs[gap_input(lash)], twist_of(at.system, at.system.lashes[lash], at.x)
+    rate, most = _rate(at.system, at.system.lashes[lash], 0.0, at.x)
+    return half_gap - abs(twist) <= WITHIN * (half_gap + size) and abs(rate) <= WITHIN * most

@@ -179,12 +179,13 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
 
 
 @inlined_part
-def recheck_frictions(at: Moment, log: Log, entry: Entry) -> Entry:
+def recheck(at: Moment, log: Log, entry: Entry, jumps: bool) -> Entry:
     """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped.
 
-    State and inputs may change, and events be written, as at a switch.
+    State and inputs may change, and events be written, as at a switch. Of one lash its guard tells, and so it is for
+    several of rigid flanks unless the load `jumps`, or its rate of change.
     """
-    if not at.system.friction_count:
+    if not (at.system.friction_count or (jumps and at.system.impulsive and at.system.lash_count > 1)):
         return entry
     settled = rigid.enter_chosen(at, log, entry.regime, -1, 0, entry.written)
     if entry.zero_guard < 0:

@@ -50,6 +50,41 @@ def odd_table(seed):
     }
 
 
+def rigid_table(seed):
+    """The tables of a tree with two or three lashes of rigid flanks and light parts, which part at one time."""
+    rng = np.random.default_rng([seed, 31])
+    count = int(rng.integers(3, 7))
+    inertias = [_between(rng, 0.003, 0.3) * float(rng.choice([1, 1, 1, 1, 1e-2, 1e-4])) for _ in range(count)]
+    joints = [(int(rng.integers(max(0, k - 2), k)), k, float(rng.choice(RATIOS))) for k in range(1, count)]
+    loose = min(len(joints), int(rng.choice([2, 3, 3, 3])))
+    rng.shuffle(joints)
+    before = float(rng.choice([-1, 1])) * _between(rng, 1.0, 30.0)
+    contact = {"model": "restitution", "restitution": float(rng.choice([0.0, 0.3, 0.7]))}
+    lashes, shafts = [], []
+    for at, (one, other, ratio) in enumerate(joints):
+        joint = _ends(rng, int(one), int(other), ratio)
+        if at < loose:
+            lash = {"name": f"L{at}", "backlash_deg": _between(rng, 0.1, 20.0), "radius": 0.08, "contact": contact}
+            lashes.append(joint | lash)
+        else:
+            shaft = _shaft(rng, min(inertias[int(one)], inertias[int(other)]), abs(before))
+            linear = shaft["stiffness"] if isinstance(shaft["stiffness"], float) else 50.0
+            shafts.append(joint | {"stiffness": linear, "damping": shaft["damping"]})
+    end, is_free = int(rng.integers(1, count + 1)), rng.random() < 0.6
+    if not is_free:
+        stiffness = {} if rng.random() < 0.4 else {"stiffness": _between(rng, 5, 500)}
+        shafts.append({"between": [end, "ground"], **stiffness, "damping": _between(rng, 0.01, 1.0)})
+    load = _load(rng, before, count)
+    if is_free and load["profile"] != "table" and rng.random() < 0.3:
+        load["final_torque"] = 0.0
+    return {
+        "driveline": {"inertias": inertias, "shafts": shafts},
+        "lash": lashes,
+        "load": load,
+        "solver": {"method": "exact", "step": 2e-5, "end_time": 0.6},
+    }
+
+
 def study_of_table(table, method="exact"):
     """The study that tables describe."""
     return study_from_text(tomli_w.dumps(table | {"solver": table["solver"] | {"method": method}}))

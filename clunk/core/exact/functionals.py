@@ -104,11 +104,10 @@ def weighed(space: Workspace, weights: Table, first: int, stride: int, at: int) 
 
 
 @inlined_part
-def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: Origin) -> None:
+def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: Origin) -> Vector:
     """`taylor.expand` of the runs taken, into `space.series`."""
     size, shortest, series, work = space.behind, shortest_span(space, flow), space.flows.series, space.pool.work
     if space.mixed:
         gather(space, series, flow * series.shape[2] + f, size * LONG, space.lane_table)
-        taylor.expand(OfLanes(space.lane_table), work, size, shortest, sign, shift, at, space.series)
-    else:
-        taylor.expand(series[0, flow, f], work, size, shortest, sign, shift, at, space.series)
+        return taylor.expand(OfLanes(space.lane_table), work, size, shortest, sign, shift, at, space.series)
+    return taylor.expand(series[0, flow, f], work, size, shortest, sign, shift, at, space.series)

@@ -15,6 +15,7 @@ step side by side; a step that ends by an event, or with the load's piece, goes 
 import numpy as np
 
 from clunk.core.arrays import FloatArray, StopFlag
+from clunk.core.events import INSTANT
 from clunk.core.exact import functionals, moving, rows
 from clunk.core.exact.margins import (
     MOST,
@@ -44,7 +45,7 @@ from clunk.core.runs import (
 )
 from clunk.core.status import EVENT_BUFFER_FULL, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import copy, weigh
-from clunk.core.switching import begin_run, chooses, is_instant, may_switch, recheck_frictions, set_weighed, switch
+from clunk.core.switching import begin_run, chooses, is_instant, may_switch, recheck, set_weighed, switch
 
 
 @inlined_part
@@ -65,18 +66,17 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue.
 
-    The load goes on to its piece at that time. Frictions that can no longer stick there begin to slip, which is an
-    event; they are not asked where the event has just chosen their states.
+    The load goes on to its piece at that time. Frictions that can no longer stick there begin to slip, and rigid flanks
+    that a jump pulls apart separate, which are events; they are not asked where an event has just chosen their states.
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
-    numbers, load, before = space.numbers[slot, space.behind :], space.loads[row.load], row.piece
-    row.piece = go_on(system, load, before, time, x, inputs)
+    numbers, load, jumps = space.numbers[slot, space.behind :], space.loads[row.load], row.ended != rows.BY_EVENT
+    row.piece = go_on(system, load, row.piece, time, x, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
-    is_chosen = row.ended == rows.BY_EVENT and chooses(system, row.regime, row.guard)
-    if system.friction_count > 0 and not (is_chosen and row.piece == before):
+    if jumps or not chooses(system, row.regime, row.guard):
         row.count = entry.written
-        entry = recheck_frictions(Moment(system, time, x, inputs, WITHIN), log_of(space, slot), entry)
+        entry = recheck(Moment(system, time, x, inputs, WITHIN), log_of(space, slot), entry, jumps)
         _take_events(space, slot, row.count, entry.written)
     regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
@@ -142,8 +142,11 @@ def _follow(space: Workspace, slot: int) -> None:
     """Send a run on: end its phase, queue its next step, or end it."""
     row, system = space.runs[slot], system_of(space, slot)
     now = row.time + space.numbers[slot, space.behind + rows.ELAPSED]
+    end = end_of_piece(system, space.loads[row.load], row.piece)
+    if row.ended == rows.BY_EVENT and end - now < INSTANT and end < system.end_time[0]:
+        row.ended = rows.AT_END  # what follows tells whether it happens
     if row.ended == rows.AT_END:
-        now = end_of_piece(system, space.loads[row.load], row.piece)
+        now = end
     if row.ended == rows.BY_EVENT or (row.ended == rows.AT_END and now < system.end_time[0]):
         _end_phase(space, slot, now)
     elif row.ended == rows.GOES_ON or row.ended == rows.NEARS:
@@ -171,7 +174,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     if not np.isfinite(total):
         _end(space, slot, NON_FINITE, time)
         return
-    if (by_event or system.friction_count > 0) and not may_switch(system, log, row.count, row.stages):
+    if not may_switch(system, log, row.count, row.stages):
         _end(space, slot, EVENT_BUFFER_FULL, time)
         return
     set_torque(system, space.loads[row.load], row.piece, time, at.inputs)

@@ -297,15 +297,14 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
         guard, order = system.guards[regime, n], _zero_order(space, n)
-        start, sway = load_curve(space.seen, n * OF_SEEN + _START), vectors.load(space.seen, n * OF_SEEN + _SWAY)
+        start = load_curve(space.seen, n * OF_SEEN + _START)
         near = there & (~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (order >= 2.0))
         if not near:
             continue
         sign, shift = _sign(space, regime, n), _shift(space, regime, n)
         scale = _scale(space, regime, n) if guard.lash >= 0 else vectors.magnitude(shift)
         origin = _origin(space, flow, guard.functional)
-        functionals.expand(space, flow, guard.functional, sign, shift, origin)
-        noise = ROUNDING * (vectors.magnitude(origin.value) + vectors.magnitude(shift) + sway)
+        noise = ROUNDING * functionals.expand(space, flow, guard.functional, sign, shift, origin)
         if system.element_count > 1:  # another element's event at the same time may have been located first
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)

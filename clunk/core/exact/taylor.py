@@ -20,13 +20,18 @@ def expand(
     shift: Vector,
     origin: Origin,
     c: FloatArray,
-) -> None:
+) -> Vector:
     """The Taylor coefficients over the shortest span of sign times a functional plus shift.
+
+    Returns the sum of the magnitudes of the terms of the first.
 
     shortest : the span  [s]
     c : (TERMS, WIDTH) float64
         Output.
     """
+    terms = vectors.magnitude(origin.value) + vectors.magnitude(shift)
+    for k in range(size):
+        terms += vectors.magnitude(vectors.load(work, k) * vectors.number(series, k * LONG))
     for j in range(TERMS):
         total = vectors.splat(0.0)
         for k in range(size):
@@ -41,6 +46,7 @@ def expand(
             total += A_SIXTH * shortest * shortest * shortest * origin.third
         vectors.store(c, j, sign * total)
     vectors.store(c, 0, vectors.load(c, 0) + shift)
+    return terms
 
 
 @part

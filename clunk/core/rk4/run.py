@@ -15,6 +15,7 @@ import numpy as np
 
 from clunk.core import rigid
 from clunk.core.arrays import FloatArray, StopFlag
+from clunk.core.events import INSTANT
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, turn_back
 from clunk.core.rk4 import quartic
@@ -24,7 +25,7 @@ from clunk.core.rubbing import WITHIN, tolerance_after
 from clunk.core.runs import BEGIN, Entry, Log, Moment, Outcome, Start, begin_windows, end_of_piece, go_on, roll_states
 from clunk.core.status import EVENT_BUFFER_FULL, INTERRUPTED, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import combine, copy, weigh
-from clunk.core.switching import begin_run, chooses, is_instant, may_switch, recheck_frictions, switch
+from clunk.core.switching import begin_run, chooses, is_instant, may_switch, recheck, switch
 from clunk.core.tables import ACCELERATION
 
 _BETWEEN_LOOKS = 256  # full steps, at whether the run is settled, and at the stop flag
@@ -67,11 +68,11 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     begin_windows(log, 0)
     grid = _grid_of(system, steps, load, piece)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
-    is_chosen = False  # the states of frictions, by the event that ended the phase before
+    guard, is_chosen = -1, False  # what ended the phase before, and chose the states of all that rests
     while True:
         time = begin + index * grid.step + offset
         if not is_chosen:
-            entry = recheck_frictions(Moment(system, time, x, inputs, WITHIN), log, entry)
+            entry = recheck(Moment(system, time, x, inputs, WITHIN), log, entry, guard < 0)
         roll_states(system, rolled, log, written, entry.written)
         for k in range(written, entry.written):
             begin_windows(log, k)
@@ -85,7 +86,10 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 length, spanned = length + (grid.step if index + 1 < grid.full else grid.rest), 2
             rigid.keep_locked(system, entry.regime, x, inputs)
             expand(system, flow, x, room)
-            s, guard = first_event(system, entry.regime, room, max(length, 0.0), zero_guard, entry.zero_order)
+            length = max(length, 0.0)
+            s, guard = first_event(system, entry.regime, room, length, zero_guard, entry.zero_order)
+            if length - s < INSTANT and index + spanned >= grid.last and piece + 1 < load.shape[0]:
+                s, guard = length, -1  # what follows tells whether it happens
             widen_extremes(system, flow, room, s, extremes)
             if not finish(room, s, x):
                 return Outcome(NON_FINITE, entry.written, 0, begin + index * grid.step + offset)
@@ -122,16 +126,14 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 break
         written = entry.written
         rigid.keep_locked(system, entry.regime, x, inputs)
+        began, time = time, begin + index * grid.step + offset
+        if not may_switch(system, log, written, stages):
+            return Outcome(EVENT_BUFFER_FULL, written, 0, time)
         if guard < 0:  # another piece of the load
-            if system.friction_count > 0 and not may_switch(system, log, written, stages):
-                return Outcome(EVENT_BUFFER_FULL, written, 0, begin)
             entry, is_chosen = Entry(written, entry.regime, -1, 0), False
             continue
 
-        began, time = time, begin + index * grid.step + offset
         at = Moment(system, time, x, inputs, tolerance_after(time - began))
-        if not may_switch(system, log, written, stages):
-            return Outcome(EVENT_BUFFER_FULL, written, 0, time)
         if is_instant(at, log, written):
             begin_windows(log, written - 1)
         is_chosen = chooses(system, entry.regime, guard)
