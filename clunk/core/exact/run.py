@@ -74,7 +74,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     row.piece = go_on(system, load, row.piece, time, x, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
-    if jumps or not chooses(system, row.regime, row.guard):
+    if (system.friction_count > 0 or system.impulsive) and (jumps or not chooses(system, row.regime, row.guard)):
         row.count = entry.written
         entry = recheck(Moment(system, time, x, inputs, WITHIN), log_of(space, slot), entry, jumps)
         _take_events(space, slot, row.count, entry.written)
@@ -142,11 +142,12 @@ def _follow(space: Workspace, slot: int) -> None:
     """Send a run on: end its phase, queue its next step, or end it."""
     row, system = space.runs[slot], system_of(space, slot)
     now = row.time + space.numbers[slot, space.behind + rows.ELAPSED]
-    end = end_of_piece(system, space.loads[row.load], row.piece)
-    if row.ended == rows.BY_EVENT and end - now < INSTANT and end < system.end_time[0]:
-        row.ended = rows.AT_END  # what follows tells whether it happens
-    if row.ended == rows.AT_END:
-        now = end
+    if row.ended == rows.BY_EVENT or row.ended == rows.AT_END:
+        end = end_of_piece(system, space.loads[row.load], row.piece)
+        if end - now < INSTANT and end < system.end_time[0]:
+            row.ended = rows.AT_END  # what follows tells whether an event happens
+        if row.ended == rows.AT_END:
+            now = end
     if row.ended == rows.BY_EVENT or (row.ended == rows.AT_END and now < system.end_time[0]):
         _end_phase(space, slot, now)
     elif row.ended == rows.GOES_ON or row.ended == rows.NEARS:
