@@ -336,6 +336,12 @@ def test_each_point_is_compared_with_the_nearest_cell() -> None:
     assert (comparison.agreeing, comparison.counted) == (2, 3)
 
 
+def test_on_a_logarithmic_axis_the_nearest_is_the_one_whose_cell_is_drawn_there() -> None:
+    values = np.geomspace(1.0, 100.0, 5)  # 1, 3.16, 10, …: edges at 1.78 and 5.62
+    axis = ResultAxis("load.ratio", values, "load ratio", "σr = Td/Ts", "1")
+    assert [axis.values[axis.nearest(value)] for value in (1.7, 2.0, 6.0)] == pytest.approx([1.0, 10**0.5, 10.0])
+
+
 @pytest.mark.parametrize(
     ("ratio", "computed"),
     [(0.0, "SS(1)"), (-0.01, None), (10.0, "DS(1)"), (10.01, None), (4.9, "SS(1)"), (8.0, "DS(1)")],

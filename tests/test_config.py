@@ -608,6 +608,10 @@ def test_broken_override_is_reported_as_an_override(override, key, message):
     assert f"--set {key}:" in str(error)
 
 
+def test_text_of_an_override_may_hold_brackets_and_equals_signs():
+    assert study_from_text(WHOLE, overrides=['title="a]b = [c"']).title == "a]b = [c"
+
+
 STAGED = ["driveline.shafts[1].stiffness=[31.3, 10.0, 31.3]", "driveline.shafts[1].breakpoints_deg=[-4.0, 2.0]"]
 OVER_SHAFT = "sweep.axes=[{{parameter='driveline.shafts[{}', start={}, stop=2.0, count=3}}]"
 WRONG_SHAFTS = [

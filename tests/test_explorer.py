@@ -246,6 +246,11 @@ class TestControls:
             assert start < end
             assert step > 0.0
 
+    def test_numbers_are_whole_where_the_config_s_are_and_of_a_size_that_can_be_meant(self, subject):
+        controls = Controls(subject.study, subject.plane, set(CELL), lambda: None, 0)
+        controls.set({"load.on": 2.4, "lash.contact.damping": 1e300, "lash.contact.stiffness": 3e5})
+        assert controls.numbers == {"load.on": 2.0, "lash.contact.stiffness": 3e5}
+
     @pytest.mark.parametrize(("typed", "taken"), [(99.0, 10.0), (1e308, 10.0), (-1.0, 2.0), (np.inf, 6.0)])
     def test_the_value_of_an_axis_that_is_nearest_is_taken(self, subject, typed, taken):
         controls = Controls(subject.study, subject.plane, set(CELL), lambda: None, 0)

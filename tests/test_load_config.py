@@ -116,6 +116,7 @@ BROKEN_TRACES = {
     "nan time": ("0,-6\nnan,1\n", 'line 2: found "nan,1"'),
     "text": ("0,-6\n0.1,x\n", 'line 2: found "0.1,x"'),
     "decimal commas in columns of commas": ("0,0 -6,0\n0,1 -1,0\n", 'line 1: found "0,0 -6,0"'),
+    "digits in groups": ("0,-6\n0.1,1_000\n", 'line 2: found "0.1,1_000"'),
     "thousands": ("0;1.000,5\n", 'line 1: found "0;1.000,5"'),
     "back in time": ("t,T\n0,-6\n0.2,1\n0.1,3\n", "line 4: found 0.1 after 0.2; times must not decrease"),
     "late": ("0.5,-6\n0.6,1\n", "line 1: found 0.5; the first time must be 0"),
@@ -141,6 +142,8 @@ def test_a_trace_is_read_once_and_kept_in_the_config(tmp_path):
         "\ufefft\tT\tn\n0\t-6\t5000\n0.1\t-3.5\t4000\n0.2\t-1\t3000\n",
         '"0,0","-6,0"\n"0,1","-3,5"\n"0,2","-1,0"\n',
         " 0 ; -6.0\r\n 0.1 ; -3.5\r\n 0.2 ; -1.0\r\n",
+        "Info: of release 3\nNano drive\n0,-6,hold; then\n0.1,-3.5,\n0.2,-1,end\nInfluence of load\n",
+        "0,\t-6\n0.1,\t-3.5\n0.2,\t-1\n",
     ],
 )
 def test_a_trace_may_be_written_as_loggers_do(text, tmp_path):

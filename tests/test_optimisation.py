@@ -263,6 +263,12 @@ def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
     assert np.all(np.diff(durations) > -0.006)
 
 
+@pytest.mark.parametrize("quantity", ["severity", " severity "])
+def test_what_is_minimised_is_not_traded(quantity):
+    with pytest.raises(ClunkError, match="severity cannot be traded: it is what is minimised"):
+        front(damped_ramp("severity", []), quantity)
+
+
 def test_an_interrupted_trade_off_hands_over_the_points_that_are_done(brief, monkeypatch):
     monkeypatch.setattr(optimisation, "_FRONT", 3)
     done = []
@@ -380,6 +386,22 @@ def test_a_lash_that_there_is_not_and_what_has_no_order_are_refused_before_a_run
     for quantity in ("label", "severity<=3", "margin"):
         with pytest.raises(ClunkError, match=f"{quantity} cannot be traded"):
             front(damped_ramp("load.duration", []), quantity)
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        'profile = "table", times = [0.0, 0.1, 0.3], torques = [-6.0, -1.0, -1.0]',
+        'profile = "steps", initial_torque = -6.0, final_torque = -1.0, durations = [0.1, 0.2], levels = [0.5, 1.0]',
+    ],
+    ids=["table", "steps"],
+)
+def test_a_load_that_is_held_rests_from_when_it_no_longer_changes(load, brief):
+    text = DAMPED_RAMP.format(minimize='"release_time"', subject_to="[]", longest=0.3)
+    text = text.replace('profile = "ramp", duration = 0.1, ratio = 3.0', load)
+    key = "load.times[2]" if "table" in load else "load.durations[1]"
+    changes = optimize(study_from_text(text.replace("load.duration", key))).changes
+    assert {row["name"]: row["as it is"] for row in changes}["release_time"] == 0.1
 
 
 def test_a_load_that_never_rests_has_no_release_time():

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from clunk.analysis.search import in_halves
-from clunk.core.runs import BEGIN
+from clunk.core.runs import BEGIN, LEVEL, SLOPE
 from clunk.results.quantities import TEXT, YES_NO, measuring, quantity_of
 from clunk.simulation.load import cases_of
 from clunk.study.arrays import Bools, Floats
@@ -72,6 +72,14 @@ class Optimum(Record):
         """Sentence where not all conditions hold."""
         nearest = "No values were found for which all conditions hold and no run fails; these come nearest."
         return "" if self.holds else nearest
+
+
+def _rests_from(loads: Floats) -> Floats:
+    """The times from which loads, (n, P, 5), rest  [s]; of one that goes on, when its last piece begins."""
+    rests = (loads[..., LEVEL] == loads[:, -1:, LEVEL]) & (loads[..., SLOPE:] == 0.0).all(axis=-1)
+    rests[:, -1] = True
+    first = rests.shape[1] - np.logical_and.accumulate(rests[:, ::-1], axis=1).sum(axis=1)
+    return loads[np.arange(len(loads)), first, BEGIN]
 
 
 @dataclass(frozen=True, repr=False)
@@ -208,7 +216,7 @@ class Problem:
         elif self.minimized == RELEASE_TIME:
             runs = math.prod(shape)
             loads = cases_of(self.study, self._columns(candidates), runs).loads
-            numbers[RELEASE_TIME] = worst(np.broadcast_to(loads[:, -1, BEGIN], runs))
+            numbers[RELEASE_TIME] = worst(np.broadcast_to(_rests_from(loads), runs))
         for name, each in numbers.items():
             quantities[name] = np.sort(each, axis=1)[:, self._needed - 1]
         holds = lacks == 0.0
@@ -353,7 +361,11 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
     far as its first argument, or as `optimize` does.
     """
     table = _table(study)
-    if quantity_of(quantity, study).type in (TEXT, YES_NO) or quantity == "margin":
+    of = quantity_of(quantity, study)
+    quantity = of.name
+    if quantity == table.minimize:
+        raise ClunkError(f"{quantity} cannot be traded: it is what is minimised.")
+    if of.type in (TEXT, YES_NO) or quantity == "margin":
         raise ClunkError(f"{quantity} cannot be traded: less of it is not better; severity, for example, can.")
     best = optimize(study, shown=quantity, **options)
     if not best.holds:

@@ -68,9 +68,9 @@ def plot(
     from clunk.results.store import read_map
     from clunk.study.axes import LASH
 
-    base = output or file.with_suffix(".png")
     files.check(output, files.PICTURES, reads=file)
     results = read_map(file)
+    base = output or file.with_suffix(".png")
     results = results.at(nearest_values(results.axes, at, results.tables))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}

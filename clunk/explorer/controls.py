@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from bokeh.models import Column, Div, NumericInput, Row, Select, Slider
@@ -13,6 +14,7 @@ from clunk.study.designs import is_unused
 from clunk.study.keys import Key
 from clunk.study.parameters import located, nominal_value, parameters, quantity
 from clunk.study.study import Study
+from clunk.study.tables import LARGEST_SIZE
 
 # In this order, those that the config has; a lash's stand for those of each lash.
 _FIRST = (
@@ -27,6 +29,7 @@ _FIRST = (
     "load.static_torque",
 )
 _STEPS = 50  # of a slider at least
+_FEWEST = 5  # steps of one for whole numbers
 
 
 def adjustable(study: Study, swept: set[str]) -> dict[str, float]:
@@ -46,7 +49,8 @@ def slider_range(value: float, key: Key) -> tuple[float, float, float]:
     low, high = sorted((0.0, 2.5 * value)) if value else (0.0, 1.0)
     low, high = max(low, key.lowest), min(high, key.highest)
     step = 10.0 ** math.floor(math.log10((high - low) / _STEPS)) if high > low else 1.0
-    step = max(step, 1.0) if key.whole else step
+    if key.whole:
+        low, high, step = math.ceil(low), max(math.floor(high), math.ceil(low) + _FEWEST), max(step, 1.0)
     return (low + step if key.above else low), high, step
 
 
@@ -97,11 +101,10 @@ class Controls:
         first = own if values.min() <= own <= values.max() else values[len(values) // 2]
 
         title = title_of(axis.name, axis.symbol, axis.unit)
-        limits = 0, len(values) - 1, 1
         self._add_row(
             axis.parameter,
             title,
-            limits,
+            lambda _: (0, len(values) - 1, 1),
             first,
             lambda value: axis.nearest(np.clip(value, values.min(), values.max())),
             lambda at: float(values[int(at)]),
@@ -114,7 +117,12 @@ class Controls:
             return
         described, (_, allowed, value) = quantity(key), located(self._study, key)
         title = title_of(described.name, described.symbol, described.unit)
-        self._add_row(key, title, slider_range(value, allowed), value, float, float, allowed.allows)
+        exact: Callable[[float], float] = (lambda number: float(round(number))) if allowed.whole else float
+
+        def is_allowed(number: float) -> bool:
+            return allowed.allows(number) and (number == 0.0 or 1.0 / LARGEST_SIZE <= abs(number) <= LARGEST_SIZE)
+
+        self._add_row(key, title, partial(slider_range, key=allowed), value, exact, exact, is_allowed)
         names = [(each, f"{quantity(each).name}  ({each})") for each in self._config if each not in self._changes]
         self._more.update(options=[("", "another number …"), *names], value="", visible=bool(names))
         self.layout.children = [*(row for row in self.layout.children if row is not self._more), self._more]
@@ -123,7 +131,7 @@ class Controls:
         self,
         key: str,
         name: str,
-        limits: tuple[float, float, float],
+        limits_for: Callable[[float], tuple[float, float, float]],
         first: float,
         place: Callable[[float], float],
         value_at: Callable[[float], float],
@@ -131,27 +139,29 @@ class Controls:
     ) -> None:
         """Add a title, a slider and a box.
 
-        limits : start, end and step of the slider
+        limits_for : start, end and step of the slider for a value that is typed
         place, value_at : position of the slider for a value, and value at a position
         """
         title = Div(text=name, render_as_text=True, width=250, margin=(6, 4, 0, 6))
-        start, end, step = limits
+        start, end, step = limits_for(first)
         slider = Slider(start=start, end=end, step=step, value=place(first), show_value=False, name=f"slider {key}")
         slider.update(sizing_mode="stretch_width", margin=(6, 12, 0, 6))
         self._values[key] = value_at(place(first))
         box = NumericInput(value=self._values[key], mode="float", width=112, margin=(0, 6, 0, 0), name=f"number {key}")
 
-        def change(new: float | None) -> None:
+        def change(new: float | None, is_typed: bool = True) -> None:
             value = value_at(place(new)) if new is not None and is_allowed(new) else self._values[key]
             is_changed = value != self._values[key]
             self._values[key] = value
-            at = place(value)
-            slider.update(start=min(slider.start, at), end=max(slider.end, at), value=at)
+            if is_changed and is_typed:
+                start, end, step = limits_for(value)
+                slider.update(start=start, end=end, step=step)
+            slider.value = place(value)
             box.value = value
             if is_changed and not self._is_setting:
                 self._on_change()
 
-        slider.on_change("value", lambda _attribute, _old, at: change(value_at(at)))
+        slider.on_change("value", lambda _attribute, _old, at: change(value_at(at), False))
         box.on_change("value", lambda _attribute, _old, new: change(new))
         self._changes[key] = change
         self.layout.children = [*self.layout.children, Row(children=[title, slider, box], sizing_mode="stretch_width")]

@@ -39,6 +39,8 @@ _PIXELS = 640  # of an image, across and upward
 _SKIP = 4  # of the image, between the pixels among which names are placed
 _WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a name takes
 _SHADES = 256
+_CLOSEST = 1e-9  # that a figure can be zoomed in to: of an axis, or s
+_ABOVE = 0.05  # of a curve's height, left free above and below it
 _COLUMNS = 800  # spans of time that a screen tells apart
 _BESIDE = 80, 32  # pixels left and right of all panels, so that their time axes lie under each other
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
@@ -91,7 +93,10 @@ class MapFigure:
             look[f"{which}_axis_label"] = title_of(capital(axis.name), axis.symbol, axis.unit)
             look[f"{which}_axis_type"] = "log" if axis.is_geometric else "linear"
             low, high = float(axis.values.min()), float(axis.values.max())
-            look[f"{which}_range"] = Range1d(low, high, bounds=(low, high))
+            least = _CLOSEST * (low if axis.is_geometric else high - low)
+            look[f"{which}_range"] = Range1d(low, high, bounds=(low, high), min_interval=least)
+        if len(axes) == 1:
+            look["y_range"] = Range1d(0.0, 1.0)
         look |= {"tools": "pan,wheel_zoom,box_zoom,reset,save", "min_height": 240, "margin": 0}
         self.figure = plot = figure(name="map", sizing_mode="stretch_both", **look)
         plot.toolbar.logo = None
@@ -106,7 +111,7 @@ class MapFigure:
         bar = ColorBar(color_mapper=shades, width=10, visible=False)
         plot.add_layout(bar, "right")
         self.models = {**sources, "shades": shades, "bar": bar, "y axis": plot.yaxis[0]}
-        self.models["legend"] = self.legend
+        self.models |= {"legend": self.legend, "y range": plot.y_range}
         ring = {"source": self._marks, "level": "overlay", "line_color": "colour", "line_width": 2.5}
         text = {"text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
         if len(axes) > 1:
@@ -134,11 +139,16 @@ class MapFigure:
         if len(self._axes) > 1:
             return self._map_changes(layers)
         edges, codes = layers.bands
+        known = layers.values[np.isfinite(layers.values)]
+        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        around = _ABOVE * (high - low) or 1.0
         colours = [(*layers.colours, FAILED_FILL)[code] for code in codes]
         return {
             "bands": {"data": {"x0": edges[:-1], "x1": edges[1:], "colour": colours}},
             "points": {"data": {"x": layers.view.x.values, "y": layers.values}},
             "y axis": {"axis_label": layers.value_label},
+            "y range": dict.fromkeys(("start", "reset_start"), low - around)
+            | dict.fromkeys(("end", "reset_end"), high + around),
             "legend": {"text": _legend(layers)},
         }
 
@@ -274,7 +284,7 @@ class RunFigures:
         self.events = Div(name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **WIDE)
         self.events.update(sizing_mode="stretch_both", min_height=80, max_height=170)
         self._runs: Sequence[History] = []
-        self._time = Range1d(0.0, 1.0)
+        self._time = Range1d(0.0, 1.0, min_interval=_CLOSEST)
         self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
         # all curves of all panels in one source
         self._curves = _source(" ".join(["colour", *(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy")]))

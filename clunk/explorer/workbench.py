@@ -172,7 +172,7 @@ class Workbench:
         """Let the address of the page hold what it shows."""
         chosen = {select.name: select.value for select in (self._quantity, self._lash) if select.visible}
         numbers = self._controls.cell | self._controls.numbers
-        state = chosen | {key: f"{value:.12g}" for key, value in numbers.items()}
+        state = chosen | {key: repr(float(value)).removesuffix(".0") for key, value in numbers.items()}
         self._link.data = {"name": list(state), "value": list(state.values())}
 
     # --- What the user does ------------------------------------------------------------------------------------------
@@ -242,6 +242,8 @@ class Workbench:
             what = f", clunk sweep {name} the map" if self._map else ""
             at = f" --at run={self._run.values[RUN]:g}" if self._subject.study.swept.samples else ""
             self._say(f"saved {name}: clunk simulate {name}{at} makes this run{what}")
+        else:
+            self._say("there is no run to save")
 
     # --- Runs --------------------------------------------------------------------------------------------------------
 

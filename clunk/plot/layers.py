@@ -260,7 +260,8 @@ class Layers:
 
         regions = zip(self.names, self.colours, self.shares.tolist(), strict=False)
         shown = set(names) & set(self.seen)
-        notes = [Note(text(name, f"{100 * share:.2g} %"), colour) for name, colour, share in regions if name in shown]
+        shares = ((name, colour, f"{100 * share:.{2 if share < 0.995 else 4}g} %") for name, colour, share in regions)
+        notes = [Note(text(name, share), colour) for name, colour, share in shares if name in shown]
         if self.shaded and (np.isnan(self.values) & ~self.failed).any():
             why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
             notes.append(Note(why, UNDEFINED))

@@ -66,7 +66,9 @@ class ResultAxis:
         return replace(self, values=self.values[places], words=self.words[places], along=along)
 
     def nearest(self, value: float | str) -> int:
-        """Index of the value nearest to this one; of two as near, the first; or of a word.
+        """Index of the value nearest to this one, on a logarithmic axis in the logarithm; or of a word.
+
+        Of two as near, it is the first.
 
         Raises ClunkError beyond the axis, or where it has no such word.
         """
@@ -78,7 +80,8 @@ class ResultAxis:
         lowest, highest = self.values.min(), self.values.max()
         if not lowest <= value <= highest:  # also where it is not a number
             raise ClunkError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
-        return int(np.argmin(np.abs(self.values - value)))
+        apart = np.log(self.values / value) if self.is_geometric else self.values - value
+        return int(np.argmin(np.abs(apart)))
 
     def few(self, most: int) -> Floats:
         """At most so many of its values, in ascending order and evenly spread, with the first and the last."""

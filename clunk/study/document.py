@@ -119,13 +119,8 @@ def _is_too_deep(node: object, room: int = _DEEPEST) -> bool:
 
 def assigned(text: str) -> tuple[str, str | None]:
     """Key and value of `key=value`; the value is None where there is none."""
-    key, *value = _split(text, "=", 1)
-    return key.strip(), value[0].strip() if value else None
-
-
-def _split(text: str, sign: str, most: int = 0) -> list[str]:
-    """The parts of a text between signs that are not in brackets, where they belong to a name; most : signs, or all."""
-    return re.split(rf"{re.escape(sign)}(?![^\[\]]*\])", text, maxsplit=most)
+    match = re.fullmatch(r"((?:[^=\[]|\[[^\]]*\])*)=(.*)", text, re.DOTALL)  # brackets of a key hold a name
+    return (match[1].strip(), match[2].strip()) if match else (text.strip(), None)
 
 
 # --- Places ----------------------------------------------------------------------------------------------------------
@@ -138,7 +133,7 @@ def parse_place(key: str) -> Place | None:
     An item may have a name instead, ``driveline.inertias[ring]``; it comes back as ``"[ring]"``.
     """
     place = []
-    for part in _split(key, "."):
+    for part in re.split(r"\.(?![^\[\]]*\])", key):  # brackets hold a name
         match = _SEGMENT.fullmatch(part)
         if match is None:
             return None

@@ -44,7 +44,7 @@ _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency
 _NEEDED |= {"durations": "s", "levels": "shares of the change"}
 _MOST_LEVELS = 1000
 _COLUMNS = "time (s) and torque (N m), separated by commas, semicolons or tabs"
-_NUMBER = re.compile(r"[-+]?(\.?\d|nan|inf)", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?(\.?\d|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 
 class Load(Table):
@@ -164,8 +164,8 @@ def disorder(times: Sequence[float]) -> Iterator[tuple[int, str]]:
 def read_trace(path: Path) -> tuple[list[float], list[float]]:
     """Read times [s] and torques [N m] from the first two columns of a text file.
 
-    Tabs separate the columns, where a line of numbers has one, else semicolons, else commas; of numbers that commas do
-    not separate, one may stand for the point. Lines that do not begin with a number are headings.
+    Tabs separate the columns, where the first line of numbers reads so, else semicolons, else commas; of numbers that
+    commas do not separate, one may stand for the point. Lines that do not begin with a number are headings.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
     """
     rows = read_text(path, "a trace", f"a text file of {_COLUMNS}", known=".").splitlines()
     numbers = next((row for row in rows if _NUMBER.match(row.strip(' \t"'))), "")
-    delimiter = next((mark for mark in "\t;" if mark in numbers.strip()), ",")
+    delimiter = next((mark for mark in "\t;" if _numbers(next(csv.reader([numbers], delimiter=mark), []))), ",")
     reader = csv.reader(rows, delimiter=delimiter)
     lines, points = [], []
     try:
@@ -193,9 +193,16 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
     return times, torques
 
 
-def _point(row: Sequence[str], delimiter: str, where: str) -> tuple[float, float]:
+def _numbers(row: Sequence[str]) -> list[float]:
+    """The first two cells as numbers, of which a comma may be the point; none where they are no finite numbers."""
     with contextlib.suppress(ValueError):
-        time, torque = (float(cell.replace(",", ".")) for cell in row[:2])
+        time, torque = (float(re.sub(r",(?=\d)", ".", cell).replace("_", "?")) for cell in row[:2])
         if math.isfinite(time) and math.isfinite(torque):
-            return time, torque
+            return [time, torque]
+    return []
+
+
+def _point(row: Sequence[str], delimiter: str, where: str) -> list[float]:
+    if point := _numbers(row):
+        return point
     raise ConfigError(f"{where}: found {shorten(delimiter.join(row))}; must be finite numbers, {_COLUMNS}.")

@@ -26,7 +26,8 @@ def shown(unit: str = "cells") -> Iterator[Progress]:
     A terminal and a notebook show a bar in a line that is rewritten.
     """
     is_rewritten = in_notebook() or sys.stderr.isatty()
-    stream = getattr(sys.stderr, "direct", sys.stderr)  # a command's own stderr shows control characters as text
+    # a command's own stderr shows control characters as text
+    stream = getattr(sys.stderr, "direct", sys.stderr) if is_rewritten else sys.stderr
     first = None
     last = time.perf_counter()
     line = ""
