@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, is_traced, with_boundaries
+from clunk.analysis.boundaries import is_traced, with_boundaries
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.marks import thresholds_of
 from clunk.results import files
@@ -22,7 +23,7 @@ from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.progress import Progress, reporting, shown
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 
 if TYPE_CHECKING:
@@ -102,10 +103,7 @@ def sweep(
     traces = is_traced(study, boundaries, lash)
     engine = sweeping.engine_of(scheduler, workers)
 
-    def trace(results: AnyMap) -> AnyMap:
-        with shown(RUNS_OF_BOUNDARIES) if progress is True else nullcontext() as report:
-            return with_boundaries(study, results, lash=lash, workers=workers, progress=report)
-
+    trace = partial(with_boundaries, study, lash=lash, workers=workers, progress=progress is True)
     results = _run(study, output, progress, engine, addition=trace if traces else None, restart=restart, force=force)
     assert isinstance(results, Results)
     return results

@@ -58,7 +58,7 @@ def test_sweep_plot_and_info_work_on_a_small_grid(command, small, here):
 
 @pytest.mark.parametrize("name", ["plot", "report"])
 def test_a_folder_is_no_results_file(command, name):
-    assert command(name, ".")[::2] == (1, ". cannot be read: is a directory.\n")
+    assert command(name, ".")[::2] == (2, ". cannot be read: is a directory.\n")
 
 
 def test_a_results_file_stands_for_its_config(command, small):

@@ -31,11 +31,10 @@ from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
 from clunk.study.models import lash_position
 from clunk.study.study import Study
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
-RUNS_OF_BOUNDARIES = "runs along the boundaries"  # of which progress tells
 _AT_ONCE = 64  # pairs of runs whose events are kept at a time: few have more than hundreds
 _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
@@ -81,7 +80,7 @@ def boundaries(
     *,
     lash: str | int | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: bool | Progress = False,
 ) -> Boundaries:
     """Trace the boundaries of a study's regime map.
 
@@ -94,8 +93,8 @@ def boundaries(
         Of several lashes, the one whose labels are meant, by name or number; by default the first.
     workers : int, optional
         Threads; by default one for each core that this process may use.
-    progress : callable(done, 0), optional
-        Called in this thread with the number of points that have been run.
+    progress
+        As `clunk.sweep` takes it; runs are counted, whose number in all is not known: 0.
 
     Raises
     ------
@@ -111,9 +110,10 @@ def boundaries(
     def values_at(places: Floats) -> Floats:
         return np.column_stack([_values(axis, column) for axis, column in zip(part.axes, places.T, strict=True)])
 
-    with engine_of(None, workers) as engine:
+    reports = reporting(progress, part.sequence.size, study, what="runs along the boundaries")
+    with engine_of(None, workers) as engine, reports as report:
         keys = [axis.parameter for axis in part.axes]
-        point_runs = PointRuns(study, keys, OF_RUNS[LABEL], position, engine, words=part.labels, progress=progress)
+        point_runs = PointRuns(study, keys, OF_RUNS[LABEL], position, engine, words=part.labels, progress=report)
         across, upward = map(_shares, part.axes)
         nodes = np.zeros(part.sequence.shape, POINT)
         nodes["outcome"], nodes["measure"] = part.sequence[ascending], part.margin[ascending]

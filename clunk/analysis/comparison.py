@@ -6,7 +6,6 @@ model; and it knows how near each run came to another label. So labels may diffe
 grazing ones; where they differ elsewhere, the step is too coarse.
 """
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -175,7 +174,7 @@ def compare(a: Results, b: Results) -> Comparison:
         identical=identical,
         configs_equal=a.config_digest == b.config_digest,
         largest_differences=() if identical else tuple(_largest_differences(a, b, compared & ~differs)),
-        config_differences=_unlike(*(dict(leaves(tomllib.loads(each.config))) for each in (a, b))),
+        config_differences=_unlike(*(dict(leaves(each.tables)) for each in (a, b))),
         provenance_differences=_unlike({**a.attributes, "created": ""}, {**b.attributes, "created": ""}),
         verdict=_verdict(cells, differing, elsewhere),
         titles={"a": a.title, "b": b.title},

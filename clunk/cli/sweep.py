@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,6 @@ import click
 from clunk.cli import tables, terminal
 from clunk.cli.options import EXIT_FAILED_CELLS, json_option, output_option, study_argument
 from clunk.study.records import counted
-from clunk.sweeping import progress
 
 if TYPE_CHECKING:
     from clunk.results.maps import AnyMap
@@ -88,14 +88,10 @@ def sweep(
 
 def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None) -> None:
     """Add the boundaries to a finished map, and say how many there are."""
-    from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, with_boundaries
-
-    def trace(results: AnyMap) -> AnyMap:
-        with progress.shown(RUNS_OF_BOUNDARIES) as show:
-            return with_boundaries(study, results, lash=lash, workers=workers, progress=show)
+    from clunk.analysis.boundaries import with_boundaries
 
     began = time.perf_counter()
-    traced = job.finish(result, trace)
+    traced = job.finish(result, partial(with_boundaries, study, lash=lash, workers=workers, progress=True))
     if traced is not result and traced.boundaries is not None:
         ((_, numbers),) = traced.boundaries.summary()
         terminal.complain(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s")

@@ -1,7 +1,6 @@
 """Texts on a map: names within their regions, measured labels beside their points."""
 
 import math
-from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -11,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
 from PIL import Image
+from scipy import ndimage
 
 from clunk.plot.layers import Layers, Measured
 from clunk.plot.style import CENTRED
@@ -127,21 +127,14 @@ def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) ->
         (xx, xy), (_, yy) = np.cov(columns, rows, ddof=0)
         angle = math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy))
         turned = np.asarray(Image.fromarray(mask).rotate(angle, expand=True))
-    counts = np.pad(turned, ((1, 0), (1, 0))).cumsum(axis=0, dtype=np.int32).cumsum(axis=1)  # of pixels below and left
-
-    def centres(margin: int) -> Floats:
-        """Columns and rows (n, 2), from the middle, of the centres of rectangles that have this margin around them."""
-        wide, high = width + 2 * margin, height + 2 * margin
-        upper, lower = counts[high:], counts[:-high]
-        inside = upper[:, wide:] - upper[:, :-wide] - lower[:, wide:] + lower[:, :-wide]
-        corners = np.argwhere(inside == wide * high)[:, ::-1]
-        return corners + 0.5 * (np.array([wide, high]) - turned.shape[::-1])
-
-    if not len(centres(0)):
+    # of each pixel, by how many pixels the rectangle around it may grow, and one more; 0 where it has no room
+    room = ndimage.minimum_filter(turned, (height, width), mode="constant")
+    margins = ndimage.distance_transform_cdt(np.pad(room, 1), "chessboard")[1:-1, 1:-1]
+    if not margins.any():
         return None
-    margins = bisect(range(min(turned.shape)), False, key=lambda margin: not len(centres(margin)))
     # Of many places as good, as along a band, the one nearest their middle.
-    places = centres(int(0.93 * (margins - 1)))
+    good = margins > int(0.93 * (margins.max() - 1))
+    places = np.argwhere(good)[:, ::-1] + 0.5 * (np.array([width, height]) % 2 - turned.shape[::-1])
     u, v = places[np.argmin(np.hypot(*(places - places.mean(axis=0)).T))]
     c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     return c * u - s * v + 0.5 * mask.shape[1], s * u + c * v + 0.5 * mask.shape[0], angle

@@ -107,17 +107,15 @@ class Driveline:
             varied=varied,
         )
 
-    @cached_property
-    def _open(self) -> tuple[FloatArray, FloatArray]:
-        """Damping and stiffness with all lashes open, for all flows: a fiftieth of the time of a single run."""
-        return _across(self.shafts, self.shaft_damping), _across(self.shafts, self.shaft_stiffness)
-
     def matrices(self, *, closed: bool | Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Damping and stiffness, (n, n) each, with the springs and dampers of closed lashes: of all, none, or some.
 
         closed : (L,), whether each is, or one for all
         """
-        damping, stiffness = self._open
+        across = self.shafts.swapaxes(-1, -2)
+        damping, stiffness = (
+            (across * sizes[..., None, :]) @ self.shafts for sizes in (self.shaft_damping, self.shaft_stiffness)
+        )
         for k in np.flatnonzero(np.broadcast_to(closed, self.lashes.shape[-2])):
             coupling = self.lashes[..., k, :, None] * self.lashes[..., k, None, :]
             damping = damping + self.contact_dampings[..., k, None, None] * coupling
@@ -413,11 +411,6 @@ def steps_a_period(study: Study) -> float:
     system = build(study)
     fastest = np.abs(np.linalg.eigvals(system.rates).imag).max()
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
-
-
-def _across(joints: FloatArray, sizes: FloatArray) -> FloatArray:
-    """(n, n) the matrix of springs or dampers, by the twists of their joints."""
-    return (joints.swapaxes(-1, -2) * sizes[..., None, :]) @ joints
 
 
 def _numbers(varied: Varied, places: Sequence[Place], own: Sequence[float], *key: str) -> FloatArray:

@@ -2,12 +2,11 @@
 
 import difflib
 import json
-import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clunk.study.records import WIDTH, counted, cut
+from clunk.study.records import counted, cut, fill
 
 
 class ClunkError(Exception):
@@ -59,8 +58,7 @@ def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
     """Error that lists all of a subject's problems, in the order of their lines."""
     ordered = sorted(problems, key=lambda p: (p.override, p.line is None, p.line or 0))
     lines = [f"{subject} has {counted(len(ordered), 'error')}:"]
-    wrap = textwrap.TextWrapper(WIDTH, "  ", "    ", break_long_words=False, break_on_hyphens=False)
-    return ConfigError("\n".join([*lines, *(wrap.fill(str(problem)) for problem in ordered)]), ordered)
+    return ConfigError("\n".join([*lines, *(fill(str(problem), "  ", "    ") for problem in ordered)]), ordered)
 
 
 def shorten(value: object, width: int = 40) -> str:

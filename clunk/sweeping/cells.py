@@ -16,6 +16,7 @@ from typing import Any
 import numba
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.recfunctions import require_fields
 
 from clunk.core import tile as kernel
 from clunk.core.events import EVENT
@@ -367,10 +368,8 @@ def _with(record: np.dtype[np.void], fields: list[tuple[str, str]]) -> np.dtype[
 
 def _joined(records: Records, layout: np.dtype[np.void], columns: Floats) -> Records:
     """Records of a type with further fields, whose values are columns."""
-    joined = np.zeros(records.size, layout)
-    known = [*(records.dtype.names or ())]
-    joined[known] = records
-    for name, column in zip((layout.names or ())[len(known) :], columns.T, strict=True):
+    joined = require_fields(records, layout)
+    for name, column in zip((layout.names or ())[len(records.dtype.names or ()) :], columns.T, strict=True):
         joined[name] = column
     return joined
 
