@@ -1,6 +1,6 @@
 """Odd drivelines: both methods, other units, another order of inertias and shafts, energy.
 
-pytest -m slow tests/test_oddities.py      1,000 of them in the place of 40
+pytest -m slow tests/test_oddities.py      1,000 of them in the place of 40, 300 with several rigid lashes of 8
 """
 
 import pytest
@@ -12,12 +12,13 @@ from clunk.simulation.energy import balance
 
 # failed, or had other touches by the one method, until mended
 FOUND = (678, 860, 1009, 2220, 2513, 3388, 5455, 6205, 7131)
-PARTED = (162, 354, 529, 946)  # of several rigid lashes that part at one time: failed, or hung on units
+PARTED = (162, 354, 946)  # of several rigid lashes that part at one time: hung on units, until mended
+LIGHTEST = 529  # of these, one that parts with 2e7 rad/s² from a shaft: its gap begins as rounding
 TWO_WITHOUT_A_GAP = 570  # side by side: which of them touches is not determined
 MAGNIFIED = (58, 161, 166)  # by light parts between heavy ones: 100,000 touches, or rounding
 TABLES = [
     *((odd_table, seed) for seed in (*range(40), *FOUND)),
-    *((rigid_table, seed) for seed in (*range(4), *PARTED)),
+    *((rigid_table, seed) for seed in (*range(4), *PARTED, LIGHTEST)),
     *(
         pytest.param((odd_table, seed), marks=pytest.mark.slow)
         for seed in range(40, 1000)

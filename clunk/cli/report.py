@@ -25,7 +25,6 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     from clunk.results.netcdf import content_digest
     from clunk.results.store import dataset_of, read_map
 
-    files.check(output, (".html",), reads=file)
     results = read_map(file)
     target = output or file.with_suffix(".html")
     files.check(target, (".html",), reads=file)

@@ -85,7 +85,7 @@ def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds:
         twist, size = rubbing.twist_of(system, system.lashes[other], at.x)
         its_speed = speed_of(system, other, at.x)
         gap = at.inputs[gap_input(other)]
-        moved = _APART * (gap + size + _SWING)  # by `_part_by`, or so the other lash
+        moved = _APART * (gap + size + _SWING)  # by `_part_by`, this lash or the one that touches
         is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 2.0 * moved
         is_near &= abs(its_speed) > _STILL * log.courses[lash].fastest
         if other == lash or system.contacts[regime, other].closed or not is_near:
@@ -189,7 +189,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     for lash in lashes:
         side, now = system.contacts[before, lash].side, system.contacts[successor, lash].side
         others = resting & ~(1 << lash)
-        if side == 0 and resting >> lash & 1:  # that of the others would move it by rounding
+        if side == 0 and resting >> lash & 1:  # or releasing others would move it by rounding
             twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
             _part_by(_APART, at, others, lash, 1 if twist > 0.0 else -1)
         if side in (0, now):
