@@ -1,5 +1,6 @@
 """Sweeps on the workers of a dask scheduler: the same bits, whoever dies meanwhile."""
 
+import io
 import json
 import os
 import signal
@@ -219,19 +220,23 @@ class TestWhatIsRefused:
 
 
 class TestAnEndBeforeTheEnd:
-    def test_without_a_worker_it_waits_and_says_so_and_one_that_rounds_otherwise_makes_no_difference(self, alone):
+    def test_without_a_worker_it_waits_and_says_so_and_one_that_rounds_otherwise_makes_no_difference(
+        self, alone, monkeypatch
+    ):
         """All cells share a system; OpenBLAS as on an older processor gives other last bits to its eigenvectors."""
-        shared, said = figure_3_4(17), []
+        shared = figure_3_4(17)
         shared = shared.model_copy(update={"solver": shared.solver.model_copy(update={"method": "exact"})})
 
-        def say(text):
-            said.append(text)
-            if len(said) == 1:
-                alone.worker(OPENBLAS_CORETYPE="Prescott")
+        class Told(io.StringIO):
+            def write(self, text):
+                if not self.getvalue():
+                    alone.worker(OPENBLAS_CORETYPE="Prescott")
+                return super().write(text)
 
-        with Cluster(alone.address, say=say) as engine:
+        monkeypatch.setattr("sys.stderr", told := Told())
+        with Cluster(alone.address) as engine:
             assert equal(Job(shared).run(engine), sweep(shared))
-        assert said == [f"waiting for a worker of {alone.address} …"]
+        assert told.getvalue() == f"waiting for a worker of {alone.address} …\n"
 
     @posix
     def test_a_lost_scheduler_leaves_what_is_done(self, alone, map_17, tmp_path):

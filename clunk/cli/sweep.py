@@ -66,8 +66,8 @@ def sweep(
     files.check(target, files.RESULTS, reads=config)
     from clunk.sweeping.sweep import engine_of, opened
 
-    opening = engine_of(scheduler, workers, say=terminal.complain)
-    with opened(target, study, restart=restart, force=force, say=terminal.complain) as job:
+    opening = engine_of(scheduler, workers)
+    with opened(target, study, restart=restart, force=force) as job:
         result = job.held
         if result is not None:
             click.echo(f"{target} is already complete.", err=True)

@@ -8,8 +8,9 @@ scheduler at once; tiles that run then go on to their ends, and their results ar
 
 import logging
 import pickle
+import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import ExitStack, suppress
 from typing import Any, Self
@@ -45,15 +46,13 @@ class Cluster(Executor):
     address : of the scheduler, ``tcp://host:8786``; or ``local`` for one with workers on this machine, which end with
         this; a script that uses that needs Python's ``if __name__ == "__main__":``
     workers : processes of ``local``; by default one for each core
-    say : called with messages on what it waits for
 
     Raises EngineError where there is no scheduler, or one of its workers has other versions.
     """
 
-    def __init__(self, address: str, workers: int | None = None, say: Callable[[str], None] | None = None) -> None:
+    def __init__(self, address: str, workers: int | None = None) -> None:
         self._address = address
         self._workers = workers or available_cores()
-        self._say = say or (lambda _text: None)
         self._sent: tuple[Grid, Any] | None = None  # the latest grid, and the task that brings it to the workers
         self._threads, self._asked = 0, -_ASKING
 
@@ -69,7 +68,7 @@ class Cluster(Executor):
                 client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
                 self._client = opened.enter_context(client)
                 if not self._client.nthreads():
-                    self._say(f"waiting for a worker of {self._address} …")
+                    print(f"waiting for a worker of {self._address} …", file=sys.stderr)
                     self._client.wait_for_workers(1)
             except Exception as error:  # any: the address may be of another service, or of none
                 raise EngineError(

@@ -200,16 +200,12 @@ def write_tiles(file: BinaryIO, tiles: Sequence[Tile], origin: bytes) -> None:
 
     origin : identifies the study and the versions of the tiles
     """
-    checksum = hashlib.sha256(origin)
-    file.write(checksum.digest())  # its room
+    content = io.BytesIO()
     for tile in tiles:
-        raw = io.BytesIO()
         for name in _ARRAYS:
-            np.save(raw, getattr(tile, name))
-        checksum.update(raw.getbuffer())
-        file.write(raw.getbuffer())
-    file.seek(0)
-    file.write(checksum.digest())
+            np.save(content, getattr(tile, name))
+    file.write(hashlib.sha256(origin + content.getbuffer()).digest())
+    file.write(content.getbuffer())
 
 
 def tiles_of(raw: bytes, origin: bytes) -> list[Tile]:

@@ -58,6 +58,12 @@ def shown(unit: str = "cells") -> Iterator[Progress]:
             stream.flush()
 
 
+def note(text: str, progress: bool | Progress) -> None:
+    """Print a text, if there is one, where progress is shown."""
+    if text and progress is True:
+        print(text, file=sys.stderr)
+
+
 @contextmanager
 def reporting(progress: bool | Progress, cells: int, study: Study, what: str = "cells") -> Iterator[Progress | None]:
     """Function to report progress to; a bar is shown when the kernels that the study needs are compiled."""
@@ -66,8 +72,7 @@ def reporting(progress: bool | Progress, cells: int, study: Study, what: str = "
     if progress is False or cells == 0:
         yield None
     elif progress is True:
-        if note := compiling_note(study):
-            print(note, file=sys.stderr)
+        note(compiling_note(study), progress)
         warm_up(study)
         with shown(what) as report:
             yield report

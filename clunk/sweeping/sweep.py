@@ -22,7 +22,7 @@ from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import EngineError, Threads, deferred_signals
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import Progress, note, reporting
 from clunk.sweeping.reduction import Reduction, regime_map
 from clunk.sweeping.tolerances import SampleGrid, tolerance_map
 
@@ -47,7 +47,6 @@ class Job:
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
     held : the complete map that the file holds: there is nothing to run
-    say : called with messages on what is taken up
     ran, seconds : number of cells that `run` has run, and the time that it took
     """
 
@@ -59,13 +58,11 @@ class Job:
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
         held: AnyMap | None = None,
-        say: Callable[[str], None] | None = None,
     ) -> None:
         self.study = study
         self.design = design or design_of(study)
         self.directory, self.path, self.held = directory, path, held
         self.ran, self.seconds = 0, 0.0
-        self._say = say or (lambda _text: None)
         self.parts = None
         if held is None:
             self._reduction = self._empty()
@@ -133,9 +130,9 @@ class Job:
                     reduction.add(tile)
                 if parts.discarded:
                     discarded = counted(parts.discarded, "part")
-                    self._say(f"{discarded} of other versions, or damaged: their cells are run again")
+                    note(f"{discarded} of other versions, or damaged: their cells are run again", progress)
                 if parts.taken_up:
-                    self._say(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there")
+                    note(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there", progress)
             before = reduction.done
             try:
                 reduction.run(engine, workers, report, None if parts is None else parts.add)
@@ -162,13 +159,11 @@ def opened(
     *,
     restart: bool = False,
     force: bool = False,
-    say: Callable[[str], None] | None = None,
 ) -> Iterator[Job]:
     """Lock a results file for a sweep, and take up the finished cells.
 
     path : results file, whose directory exists; None for a sweep in memory
     restart, force : as of `clunk.sweep`
-    say : called with messages on what is taken up
 
     Raises ClunkError where the file holds something else, and PartsError where it is being written, or another sweep
     into it has been stopped.
@@ -185,7 +180,7 @@ def opened(
             with suppress(PartsError):  # another sweep's parts stay
                 Parts(directory, study)
                 directory.clear()
-        yield Job(study, directory=directory, path=path, held=None if restart else held, say=say)
+        yield Job(study, directory=directory, path=path, held=None if restart else held)
 
 
 def _held(path: Path, study: Study) -> AnyMap:
@@ -211,14 +206,11 @@ def _refuse_if_too_large(shape: Sequence[int]) -> None:
         )
 
 
-def engine_of(
-    scheduler: str | None, workers: int | None = None, say: Callable[[str], None] | None = None
-) -> AbstractContextManager[Executor]:
+def engine_of(scheduler: str | None, workers: int | None = None) -> AbstractContextManager[Executor]:
     """Engine to be opened: this process's threads, or the workers of a dask scheduler.
 
     scheduler : address, ``tcp://host:8786``; or ``local`` for processes on this machine; or None for threads
     workers : number of threads or of these processes; by default one for each core that this process may use
-    say : called with messages on what the engine waits for
 
     Raises EngineError where the address is none, or dask is not installed.
     """
@@ -236,7 +228,7 @@ def engine_of(
         raise EngineError(
             f"A scheduler needs dask, which is not installed (no {error.name}): pip install 'clunk[dask]'"
         ) from error
-    return Cluster(scheduler, workers, say)
+    return Cluster(scheduler, workers)
 
 
 def sweep(
