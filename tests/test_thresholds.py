@@ -10,6 +10,7 @@ import pytest
 from conftest import NOMINAL, axis
 from helpers.feet import feet_of_figure_3_4
 from helpers.loads import ramp
+from helpers.oddities import odd_table, study_of_table
 from helpers.reference import THRESHOLDS
 
 import clunk
@@ -116,6 +117,17 @@ def test_an_outcome_changes_where_dense_runs_say(outcome, ratio):
     codes = np.concatenate([result.lowest, result.above])[np.searchsorted(result.value, gaps)]
     assert [float(result.word(code)) for code in codes] == expected.tolist()
     assert result.value.size
+
+
+def test_counts_of_impacts_change_where_labels_do():
+    """The margin of the runs shows both where impacts come and go between two values of the axis."""
+    table, along = odd_table(207), "driveline.inertias[1]"
+    first = table["driveline"]["inertias"][0]
+    axes = [{"parameter": along, "start": 0.3 * first, "stop": 1.7 * first, "count": 17}]
+    swept = study_of_table(table | {"sweep": {"axes": axes}})
+    label, count = (thresholds(swept, along=along, of=outcome) for outcome in ("label", "primary_impacts"))
+    assert label.value.size > 4
+    assert count.value == pytest.approx(label.value, abs=20.0 * 1e-9 * first)
 
 
 def test_chatter_is_gone_from_a_contact_damping_on():

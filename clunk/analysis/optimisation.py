@@ -242,7 +242,7 @@ class Problem:
             beyond = results.approach_velocity
             base, bound = condition.base, condition.bound
             if base is not None and base.type != YES_NO and isinstance(bound, float):
-                beyond = np.abs(base.of_runs(results) - bound) / (abs(bound) or 1.0)
+                beyond = np.abs(base.compared(results) - bound) / (abs(bound) or 1.0)
             is_met = condition.of_runs(results) == 1.0  # NaN where a run failed
             found.append(np.where(is_met, 0.0, 0.1 + beyond))
         return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))

@@ -297,10 +297,10 @@ class PointRuns:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
         if self.outcome.name == CHATTER:
             return results.touches - results.primary_impacts - 0.5
-        base = self.outcome if self.outcome.base is None else self.outcome.base
-        if base.type in (TEXT, YES_NO):
+        base = self.outcome.base
+        if base is None or base.type in (TEXT, YES_NO):
             return results.margin
-        return base.of_runs(results) - float(self.outcome.bound)
+        return base.compared(results) - float(self.outcome.bound)
 
     @property
     def words(self) -> tuple[Word, ...]:

@@ -270,10 +270,10 @@ def _indices(
 
     Raises ClunkError where a run has none.
     """
-    values = quantity.of_runs(runs)
+    values = quantity.compared(runs)
     pages = values[:-1].reshape(shape)
     if undefined := np.count_nonzero(np.isnan(pages)):
-        why = WHY_UNDEFINED.get(quantity.name, ": nothing happens in them; ask for another quantity")
+        why = WHY_UNDEFINED.get(quantity.name, "")
         raise ClunkError(f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs{why}.")
     base, shares = pages[:, :2], None
     apart = np.abs(base - np.median(base)) > _ROUNDING * np.abs(base).max()

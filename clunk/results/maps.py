@@ -477,7 +477,7 @@ class ToleranceMap(Map):
         if not cells.any():
             return []
         affected, most = counted(int(np.count_nonzero(cells)), "cell"), percent(cells.max(), self.draws)
-        return [f"failed: up to {most} of the runs in {affected}; probabilities are of the others"]
+        return [f"failed: up to {most} of the runs in {affected}; maps are drawn of the others"]
 
     @property
     def failed(self) -> int:
@@ -508,9 +508,9 @@ class ToleranceMap(Map):
     def facts(self) -> Rows:
         """See `Map.facts`: how many cells are uncertain, have moved, or have runs that failed."""
         cells = self.sequence.size
-        moved = (self.sequence != self.nominal_sequence).sum()
+        moved, rest = (self.sequence != self.nominal_sequence).sum(), " that did not fail" * bool(self.failed)
         rows = [
-            ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {self.draws:,} draws"),
+            ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {self.draws:,} draws{rest}"),
             ("moved", f"{share(moved, cells)}: another most likely label than without tolerances"),
         ]
         affected = counted((self.runs[..., FAILED_CODE] > 0).sum(), "cell")

@@ -166,8 +166,10 @@ class Quantity:
         return np.where(np.isnan(numbers), np.nan, _RELATIONS[self.relation][0](numbers, self.bound))
 
     def compared(self, results: AnyMap) -> Array:
-        """The quantity as runs are compared by it: where nothing happens, the time of the last event is 0."""
+        """The quantity as runs are compared by it: where nothing happens, the last event is at 0; a margin's size."""
         values = self.of_runs(results)
+        if self.name == "margin":
+            return np.abs(values)
         if self.name == "last_event_time":
             values = np.where(results.arrays["sequence"] == FAILED_CODE, np.nan, np.nan_to_num(values))
         return values
