@@ -458,6 +458,13 @@ def test_whole_config_is_valid():
     assert study_from_text(ONE_RUN).sweep is None
 
 
+@pytest.mark.parametrize("override", ["solver.end_time=5e-5", "solver.step=1e-12"])
+def test_the_step_of_rk4_is_no_limit_of_the_exact_method(override):
+    with pytest.raises(ConfigError, match="step"):
+        study_from_text(WHOLE, overrides=[override])
+    assert study_from_text(WHOLE, overrides=[override, 'solver.method="exact"']).solver.method == "exact"
+
+
 def test_all_errors_are_reported_at_once_in_the_order_of_their_lines():
     text = WHOLE
     for old, new in {

@@ -29,6 +29,29 @@ DRIVELINES = {
     ),
     "to ground": Plant(shafts=((1, 2, 31.3, 0.08), (2, 3, 31.3, 0.04), (3, 4, 31.3, 0.1)), lash=(4, "ground")),
 }
+GEARED = """
+[driveline]
+inertias = [0.017, 0.0043, 0.004, 0.0117]
+shafts = [
+    { between = [1, 2], stiffness = 236.0, damping = 0.03 },
+    { between = [3, 4], stiffness = 26.6, damping = 0.11 },
+    { between = [4, "ground"], stiffness = 11.0, damping = 0.1 },
+]
+[lash]
+between = [2, 3]
+backlash_deg = 0.0
+radius = 0.05
+ratio = -3.14
+contact = { model = "restitution", restitution = 0.5 }
+[load]
+profile = "ramp"
+on = 1
+initial_torque = -5.2
+final_torque = -1.6
+duration = 0.1
+[solver]
+end_time = 0.5
+"""
 
 
 def nominal(**values):
@@ -206,6 +229,14 @@ def test_without_a_gap_separation_passes_straight_to_the_other_flank():
     assert np.all(kinds[separations + 1] == TOUCH)
     assert np.all(times[separations + 1] == times[separations])
     assert np.all(run.events["speed"][separations + 1] == 0.0)
+
+
+@pytest.mark.parametrize("step", [1.3617e-05, 1.9532e-05, 2.7736e-05, 3.7087e-05, 4.5316e-05, 6.6313e-05, 8.9565e-05])
+def test_without_a_gap_they_change_once_whatever_the_step_and_the_ratio(step):
+    """By steps of which rounding adds up: were it taken away where the sides change, the torque would change too."""
+    for method in ("rk4", "exact"):
+        run = simulate(study_from_text(GEARED, overrides=[f"solver.step={step}", f"solver.method='{method}'"]))
+        assert run.label == "CR(1)"
 
 
 WITHOUT_A_GAP_BEHIND = """

@@ -275,10 +275,10 @@ def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, fl
 
 @part
 def keep_locked(system: System, regime: int, x: FloatArray, inputs: FloatArray) -> None:
-    """Bring the locked flanks of several lashes back to each other, from which rounding drives them step by step."""
+    """Bring locked flanks back to each other, from which rounding drives them step by step."""
     for lash in range(system.lash_count * system.impulsive):
         contact = system.contacts[regime, lash]
-        if contact.closed and system.lash_count > 1:
+        if contact.closed:
             _hold(system, held_with(system, regime, lash), lash, x, contact.side * inputs[gap_input(lash)])
 
 

@@ -508,9 +508,10 @@ class ToleranceMap(Map):
     def facts(self) -> Rows:
         """See `Map.facts`: how many cells are uncertain, have moved, or have runs that failed."""
         cells = self.sequence.size
-        moved, rest = (self.sequence != self.nominal_sequence).sum(), " that did not fail" * bool(self.failed)
+        moved = (self.sequence != self.nominal_sequence).sum()
+        draws = f"{self.draws:,} draws" + " that did not fail" * bool(self.failed)
         rows = [
-            ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {self.draws:,} draws{rest}"),
+            ("uncertain", f"{share(self.uncertain, cells)}: no label has {CERTAIN:.0%} of the {draws}"),
             ("moved", f"{share(moved, cells)}: another most likely label than without tolerances"),
         ]
         affected = counted((self.runs[..., FAILED_CODE] > 0).sum(), "cell")
