@@ -24,6 +24,7 @@ from clunk.sweeping.sweep import Job, sweep
 PACKAGE = Path(keeping.__file__).parents[1]
 CONFIG = f"{BOERE}[solver]\nstep = 2e-4\n[sweep]\nboundaries = false\n"
 CONFIG += axis("load.ratio", 0.0, 10.0, 41) + axis("lash.backlash_deg", 0.0, 20.0, 31)
+SWEEP = "sweep", "map.toml", "-o", "map.h5", "--workers", "2"
 
 
 @pytest.fixture
@@ -64,7 +65,7 @@ def stopped(study, target, after, error=KeyboardInterrupt, *, engine=None):
     with WorkingDirectory(target) as directory:
         job = Job(study, directory=directory)
         with pytest.raises(error):
-            job.run(engine, progress=progress)
+            job.run(engine, workers=2, progress=progress)  # their number decides the tiles
         return job.parts.kept
 
 
@@ -237,7 +238,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX")
 
 def start(directory, moment):
     (directory / "map.toml").write_text(CONFIG)
-    command = [sys.executable, "-c", RUN, moment, "sweep", "map.toml", "-o", "map.h5"]
+    command = [sys.executable, "-c", RUN, moment, *SWEEP]
     return subprocess.Popen(command, cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -298,7 +299,7 @@ def test_a_second_command_on_the_same_file_is_refused_and_the_lock_dies_with_its
 def test_where_files_cannot_grow_the_command_ends_with_a_sentence_and_can_go_on(tmp_path, undisturbed):
     (tmp_path / "map.toml").write_text(CONFIG)
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)){RUN}"
-    command = [sys.executable, "-c", limit, "never", "sweep", "map.toml", "-o", "map.h5"]
+    command = [sys.executable, "-c", limit, "never", *SWEEP]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "cannot be written: file too large" in " ".join(done.stderr.split())
