@@ -19,6 +19,8 @@ from clunk.sweeping.sweep import sweep
 # The first call of a kernel compiles it, which takes longer than any deadline; the same examples on every machine.
 settings.register_profile("clunk", deadline=None, derandomize=True)
 settings.load_profile("clunk")
+# In the background of a shell it is ignored, by what tests start and interrupt too.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 BOERE = '[driveline]\npreset = "boere-2008"\n'
 EXACT = BOERE + '[solver]\nmethod = "exact"\n'

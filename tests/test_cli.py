@@ -342,6 +342,16 @@ def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):
     assert "warning" not in out
 
 
+def test_modes_warns_where_there_is_no_steady_motion_whose_stages_it_could_tell(command, here):
+    assert command("init", "car.toml", "--from", "car")[0] == 0
+    clutch = "driveline.shafts[1].{}".format
+    staged = "--set", clutch("stiffness=[900.0, 0.0]"), "--set", clutch("breakpoints_deg=[2.0]")
+    code, _, err = command("modes", "car.toml", *staged)
+    assert code == 0
+    assert "a staged shaft carries a torque at which a stage of it has no stiffness" in " ".join(err.split())
+    assert "steady motion" not in command("modes", "car.toml")[2]
+
+
 @pytest.mark.parametrize("origin", [(), ("--from", "car")], ids=["rig", "car"])
 def test_init_writes_a_config_that_runs_and_spares_what_is_there(command, here, origin):
     assert command("init", "study.toml", *origin)[0] == 0

@@ -133,6 +133,12 @@ def test_comparing_the_other_way_round_turns_every_transition_round(first: list[
     assert there.differing == expected
 
 
+def test_what_is_no_regime_map_is_refused_in_a_sentence() -> None:
+    found = small([["NI", "NI", "DS(1)"], ["SS(1)", "SS(1)", "DS(2)"]])
+    with pytest.raises(ClunkError, match="a str is none"):
+        compare(found, "map.h5")
+
+
 def test_failed_cells_are_not_compared_but_reported() -> None:
     a = small([["failed", "failed", "DS(1)"], ["SS(1)", "SS(1)", "DS(2)"]])
     b = small([["failed", "SS(1)", "failed"], ["failed", "SS(1)", "DS(2)"]])

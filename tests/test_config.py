@@ -696,6 +696,13 @@ def test_swept_key_may_be_left_out():
     assert (study.load.ratio, study.lash.backlash_deg) == (0.0, 1.0)
 
 
+def test_a_swept_key_that_is_left_out_keeps_its_default():
+    axes = axis('parameter = "driveline.shafts[1].friction"\nvalues = [0.3]')
+    axes += '[[sweep.axes]]\nparameter = "impacts.acceleration_of"\nvalues = [4, 2]\n'
+    study = study_from_text(axes)
+    assert (study.driveline.shafts[0].friction, study.impacts.acceleration_of) == (0.0, 3)
+
+
 def test_wrong_axis_over_a_left_out_key_is_one_error():
     text = WHOLE.replace("backlash_deg = 6.0\n", "").replace("values = [1.0,", "values = [-1.0,")
     assert [problem.key for problem in errors_of(text).problems] == ["sweep.axes[2].values[1]"]

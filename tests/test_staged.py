@@ -96,9 +96,8 @@ def test_stages_and_breakpoints_are_swept():
     results = sweep(nominal(*EXACT, *STAGES, axes), workers=1)
     assert results.severity[1] == pytest.approx(simulate(nominal(*EXACT)).severity, rel=1e-9)
     assert results.severity[0] == pytest.approx(simulate(nominal(*EXACT, *STAGES)).severity, rel=1e-12)
-    by_degree = nominal(
-        *EXACT, "driveline.shafts[1].stiffness_per_deg=[0.5, 0.25]", "driveline.shafts[1].breakpoints_deg=[1.0]"
-    )
+    degrees = "driveline.shafts[1].stiffness_per_deg=[0.5, 0.25]", "driveline.shafts[1].breakpoints_deg=[1.0]"
+    by_degree = nominal(*EXACT, *degrees, axes)
     assert by_degree.driveline.shafts[0].stages == pytest.approx((np.rad2deg(0.5), np.rad2deg(0.25)), rel=1e-15)
 
 

@@ -141,7 +141,7 @@ def compare(a: Results, b: Results) -> Comparison:
     Raises
     ------
     ClunkError
-        Where the axes are not the same.
+        Where the axes are not the same, or one is no regime map.
 
     Examples
     --------
@@ -150,6 +150,9 @@ def compare(a: Results, b: Results) -> Comparison:
     >>> clunk.compare(*maps).differing
     0
     """
+    for each in (a, b):
+        if not isinstance(each, Results):
+            raise ClunkError(f"Two regime maps are compared; a {type(each).__name__} is none.")
     _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))

@@ -27,11 +27,14 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
     Example: clunk modes configs/nominal.toml
     """
     from clunk.core.status import Status
-    from clunk.simulation.driveline import explained, steady_driveline, steady_stages
+    from clunk.simulation.driveline import build, explained, steady_driveline, steady_stages
+    from clunk.simulation.load import run_load
+    from clunk.simulation.phases import preload
     from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
 
     driveline, stages = steady_driveline(study), steady_stages(study)
-    if driveline.rigid_motion.shape.shape[1] > 1:  # parts that turn by themselves
+    system = build(study)
+    if Status.NO_EQUILIBRIUM in (system.status, preload(system, run_load(study)[0]).status):
         terminal.complain(f"warning: {explained(study, Status.NO_EQUILIBRIUM)}")
     views = {state: driveline.modes(closed=state == "closed") for state in ("closed", "open")}
     several, shuffle = len(study.lashes) > 1, 1 if views["closed"].frequency.size else None

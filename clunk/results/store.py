@@ -37,7 +37,7 @@ _TOLERANCE_MAP = "tolerance map"
 _FIELDS = ("title", "config", "config_digest", _KIND)  # of a dataset, not among a map's attributes
 _DIMENSIONS = {  # behind a map's axes -> attributes
     "impact": {"units": "1", "long_name": "number of the primary impact"},
-    "label": {"long_name": "sequence of impact excursions (regime label)"},
+    "label": {"units": "1", "long_name": "sequence of impact excursions (regime label)"},
     "quantile": {"units": "1", "long_name": "quantile of the runs of the sample"},
     "draw": {"units": "1", "long_name": "number of the draw"},
 }

@@ -258,7 +258,7 @@ def _load_trace(document: Document, folder: FilePath) -> list[Finding]:
 
 
 def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
-    """Fill in what a document implies: swept keys that it leaves out, and the inertia of the severity.
+    """Fill in what a document implies: swept keys without a default that it leaves out, and the severity's inertia.
 
     Names in the parameters of sweep, fit and optimisation become numbers. Returns what is wrong with these parameters.
 
@@ -270,6 +270,10 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
     for table, key in ((optimize, "minimize"), *((entry, "parameter") for _, entry in _entries(document))):
         if isinstance(table, dict) and key in table:
             table[key] = _numbered(table[key], names)
+    if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
+        ends = items_of(value_at(document, ("lash", "between")))
+        own = next((end for end in ends if type(end) is int or end in names["driveline.inertias"]), 1)
+        document["impacts"].setdefault("acceleration_of", own)
     for at, entry in _entries(document):
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
@@ -289,14 +293,11 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
         set_instead = instead if place[0] == "lash" else []  # of the other torques, the axis has an error of its own
         findings += [(each, text) for each in (place, *set_instead) if each in assigned]
         is_missing = not any(value_at(document, each) is not None for each in (place, *instead))
-        if is_missing and (place[0] != "load" or uses(profile, str(place[-1]))):  # else an error says so
+        is_needed = is_missing and not known.is_optional and isinstance(place[-1], str)
+        if is_needed and (place[0] != "load" or uses(profile, str(place[-1]))):  # else an error says so
             # the axis's first value, or one that is allowed: what is wrong with the axis has an error of its own
             first: Any = next(iter(items_of(entry.get("values"))), entry.get("start"))
             assign(document, place, first if is_number(first) and known.allows(first) and not known.whole else 1)
-    if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
-        ends = items_of(value_at(document, ("lash", "between")))
-        first = next((end for end in ends if type(end) is int or end in names["driveline.inertias"]), 1)
-        document["impacts"].setdefault("acceleration_of", first)
     return findings
 
 

@@ -36,6 +36,7 @@ class Key:
     lowest, highest : bounds of a number, which it may reach unless `above` says otherwise
     above : whether the lowest bound itself is excluded
     not_zero : whether zero is excluded
+    is_optional : whether it has a value where a config leaves it out
     """
 
     must_be: str
@@ -47,6 +48,7 @@ class Key:
     highest: float = math.inf
     above: bool = False
     not_zero: bool = False
+    is_optional: bool = False
 
     def allows(self, value: float) -> bool:
         """Whether a number is finite and lies within the bounds."""
@@ -155,6 +157,7 @@ def _leaf(node: Mapping[str, Any]) -> Key:
         highest=highest,
         above=above,
         not_zero=not_zero,
+        is_optional=node.get("default") is not None,
     )
 
 
