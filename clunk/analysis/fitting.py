@@ -361,21 +361,25 @@ def sample(
     """
     from scipy.stats import gaussian_kde, norm
 
-    generator = np.random.default_rng([seed, 1])
-    draws = generator.standard_normal((min(_POPULATION, most), dimensions))
-    values, counts, kernels = loss_of(draws), [len(draws)], list[gaussian_kde]()
+    def density(count: int, kernel: gaussian_kde, draws: Floats) -> Floats:
+        """That of the draws from a kernel and the prior, over the prior's, times their number."""
+        return count * (_OF_PRIOR + (1.0 - _OF_PRIOR) * (kernel(draws.T) / norm.pdf(draws).prod(axis=1)))
+
+    generator, first = np.random.default_rng([seed, 1]), min(_POPULATION, most)
+    draws = generator.standard_normal((first, dimensions))
+    values, proposed, kernels = loss_of(draws), np.full(first, float(first)), list[tuple[int, gaussian_kde]]()
     while True:
-        over_prior = [each(draws.T) / norm.pdf(draws).prod(axis=1) for each in kernels]
-        densities = [np.ones(len(draws)), *(_OF_PRIOR + (1.0 - _OF_PRIOR) * each for each in over_prior)]
-        log_density = np.log(np.average(densities, axis=0, weights=counts))
+        log_density = np.log(proposed / len(draws))
         if len(draws) >= most or effective_size(weights_of(values, log_density)) >= effective:
             return draws, values, log_density
         picked = generator.choice(len(draws), _KERNELS, p=_flattened(values, log_density))
-        kernels.append(gaussian_kde(draws[picked].T, "silverman"))
-        counts.append(min(_POPULATION, most - len(draws)))
-        of_prior = generator.standard_normal((counts[-1], dimensions))
-        is_of_prior = generator.random((counts[-1], 1)) < _OF_PRIOR
-        more = np.where(is_of_prior, of_prior, kernels[-1].resample(counts[-1], generator).T)
+        count, kernel = min(_POPULATION, most - len(draws)), gaussian_kde(draws[picked].T, "silverman")
+        kernels.append((count, kernel))
+        of_prior = generator.standard_normal((count, dimensions))
+        is_of_prior = generator.random((count, 1)) < _OF_PRIOR
+        more = np.where(is_of_prior, of_prior, kernel.resample(count, generator).T)
+        of_more = sum((density(*each, more) for each in kernels), np.full(count, float(first)))
+        proposed = np.concatenate([proposed + density(count, kernel, draws), of_more])
         values, draws = np.concatenate([values, loss_of(more)]), np.concatenate([draws, more])
 
 

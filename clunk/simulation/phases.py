@@ -69,6 +69,7 @@ class Stretch(NamedTuple):
     end: float
     regime: Regime
     x: Floats  # (N,)  where it begins  [rad, rad/s], and the load's wave
+    after: Floats  # (N,)  where it ends
 
 
 def stretches(
@@ -84,10 +85,9 @@ def stretches(
         if kink > begin:
             regime = regime_under(system, number, inputs_of(before, load, piece))
             x = _with_wave(system, x, load[piece], begin)
-            yield Stretch(begin, min(kink, end), regime, x)
-            if kink < end:
-                x = states(regime, x, kink - begin, 0.0, 1)[0]
-            begin = kink
+            after = states(regime, x, min(kink, end) - begin, 0.0, 1)[0]
+            yield Stretch(begin, min(kink, end), regime, x, after)
+            x, begin = after, kink
         if kink >= end:
             return
 
@@ -105,7 +105,9 @@ def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats
     if system.rates.shape[1] == size:
         return x
     wave = np.array([piece[WAVE], piece[WAVE_PARTNER] + piece[SLOPE]])
-    return np.concatenate([x[:size], _exponential((begin - piece[BEGIN]) * system.rates[0, size:, size:]) @ wave])
+    if begin > piece[BEGIN]:
+        wave = _exponential((begin - piece[BEGIN]) * system.rates[0, size:, size:]) @ wave
+    return np.concatenate([x[:size], wave])
 
 
 def states(regime: Regime, x: Floats, offset: float, step: float, count: int) -> Floats:
