@@ -686,6 +686,9 @@ def test_axis_may_name_an_inertia_and_sweep_its_number():
     assert study.sweep.axes[0].parameter == "driveline.inertias[4]"
     for values in ("[1, 2, 3]", "[1.0, 4.0]"):
         assert study_from_text(axis(f'parameter = "load.on"\nvalues = {values}')).sweep is not None
+    named = study_from_text(axis('parameter = "load.on"\nvalues = ["ring", 2, "motor"]'))
+    assert named.sweep.axes[0].values == (4.0, 2.0, 1.0)
+    assert "a finite number" in errors_of(axis('parameter = "load.on"\nvalues = ["wheel"]')).problems[0].message
     error = errors_of(axis('parameter = "load.on"\nstart = 1\nstop = 4\ncount = 3'))
     assert "there is no inertia 2.5; it must be a number" in error.problems[0].message
 

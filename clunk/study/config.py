@@ -260,19 +260,21 @@ def _load_trace(document: Document, folder: FilePath) -> list[Finding]:
 def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
     """Fill in what a document implies: swept keys without a default that it leaves out, and the severity's inertia.
 
-    Names in the parameters of sweep, fit and optimisation become numbers. Returns what is wrong with these parameters.
+    Names in the parameters of sweep, fit and optimisation become numbers, and so do inertias that an axis takes.
+    Returns what is wrong with these parameters.
 
     assigned : keys that were set on the command line, which no axis may sweep
     """
     findings = []
     profile = str(value_at(document, ("load", "profile")) or "step")
     names, optimize = names_of(document), value_at(document, ("optimize",))
+    inertias = names["driveline.inertias"]
     for table, key in ((optimize, "minimize"), *((entry, "parameter") for _, entry in _entries(document))):
         if isinstance(table, dict) and key in table:
             table[key] = _numbered(table[key], names)
     if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
         ends = items_of(value_at(document, ("lash", "between")))
-        own = next((end for end in ends if type(end) is int or end in names["driveline.inertias"]), 1)
+        own = next((end for end in ends if type(end) is int or end in inertias), 1)
         document["impacts"].setdefault("acceleration_of", own)
     for at, entry in _entries(document):
         parameter = entry.get("parameter")
@@ -289,6 +291,8 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
             findings.append(((*at, "parameter"), text))
         if at[1] != "axes":
             continue
+        if known.whole and items_of(entry.get("values")):
+            entry["values"] = [inertias.index(end) + 1 if end in inertias else end for end in entry["values"]]
         text = f"{dotted(at)} sweeps {parameter}: set the axis's values, or, of one run, choose one by --at"
         set_instead = instead if place[0] == "lash" else []  # of the other torques, the axis has an error of its own
         findings += [(each, text) for each in (place, *set_instead) if each in assigned]

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import Field, WithJsonSchema, model_validator
 
 from clunk.study.arrays import Floats
 from clunk.study.errors import listing
@@ -22,6 +22,8 @@ from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Tabl
 LARGEST_GRID = 2**31  # cells
 _SPAN = ("start", "stop", "count", "scale")  # of an axis, instead of its values
 _NEAREST_TO_EDGE = 2.0**-54  # a point at 0 or 1 itself would be an infinite normal value
+
+_Value = Annotated[float, WithJsonSchema({"type": ["number", "string"]})]  # names of inertias are numbers by then
 
 
 class Varied(Table):
@@ -44,7 +46,7 @@ class Axis(Varied):
     stop: float | None = None
     count: Annotated[int, Field(ge=1, le=LONGEST_AXIS)] | None = None
     scale: Literal["linear", "log"] | None = None
-    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=LONGEST_AXIS)] | None = None
+    values: Annotated[tuple[_Value, ...], Field(min_length=1, max_length=LONGEST_AXIS)] | None = None
 
     @model_validator(mode="before")
     @classmethod
