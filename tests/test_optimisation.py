@@ -434,3 +434,13 @@ def test_the_command_prints_json_and_writes_a_config_that_runs(brief, tmp_path):
     assert clunk.simulate(load_study(best)).label == "NI"
     assert load_study(best).load.durations == (told["parameters"]["load.durations[1]"],)
     assert picture.stat().st_size > 10_000
+
+
+def test_a_config_that_cannot_be_drawn_as_it_is_is_refused_before_the_search(monkeypatch, tmp_path):
+    monkeypatch.setattr("clunk.analysis.optimisation.optimize", lambda *_, **__: pytest.fail("it was searched"))
+    config, picture = tmp_path / "study.toml", str(tmp_path / "best.png")
+    text = DAMPED_RAMP.format(minimize='"severity"', subject_to="[]", longest=0.3)
+    config.write_text(to_toml(study_from_text(text, overrides=["load.initial_torque=0.0", "load.final_torque=1.0"])))
+    result = CliRunner().invoke(cli, ["optimize", str(config), "--plot", picture])
+    assert isinstance(result.exception, ClunkError)
+    assert "No initial flank" in str(result.exception)

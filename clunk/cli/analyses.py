@@ -116,6 +116,8 @@ def optimize(
     files.check(picture, files.PICTURES, reads=config)
     terminal.warn(study)
     options["progress"] = True
+    # before the search, as the config may not run as it is
+    drawn = [sample(simulate(study.but(sweep=None)), name="as it is")] if picture and not traded else []
     interrupt = None
     try:
         found = optimisation.front(study, traded, **options) if traded else optimisation.optimize(study, **options)
@@ -138,10 +140,8 @@ def optimize(
         if isinstance(found, optimisation.Front):
             figure = analyses.trade_off(found)
         else:
-            runs = {"as it is": study, "best": found.study}
-            figure = histories.history_figure(
-                [sample(simulate(each.but(sweep=None)), name=name) for name, each in runs.items()]
-            )
+            drawn.append(sample(simulate(found.study.but(sweep=None)), name="best"))
+            figure = histories.history_figure(drawn)
         terminal.save_picture(figure, picture)
     if not all(best.holds for best in points):
         sys.exit(EXIT_MISMATCH)
