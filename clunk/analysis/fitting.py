@@ -367,6 +367,7 @@ def sample(
 
     generator, first = np.random.default_rng([seed, 1]), min(_POPULATION, most)
     draws = generator.standard_normal((first, dimensions))
+    # proposed : (N,) the density that proposed the draws, of all populations, over the prior's, times N
     values, proposed, kernels = loss_of(draws), np.full(first, float(first)), list[tuple[int, gaussian_kde]]()
     while True:
         log_density = np.log(proposed / len(draws))

@@ -166,7 +166,7 @@ class Quantity:
         return np.where(np.isnan(numbers), np.nan, _RELATIONS[self.relation][0](numbers, self.bound))
 
     def compared(self, results: AnyMap) -> Array:
-        """The quantity as runs are compared by it: where nothing happens, the last event is at 0; a margin's size."""
+        """The quantity as runs are compared by it: the size of a margin; a last event at 0 where nothing happens."""
         values = self.of_runs(results)
         if self.name == "margin":
             return np.abs(values)

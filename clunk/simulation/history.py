@@ -285,13 +285,14 @@ def _after_event(
     while not is_event[first] and starts[first - 1] == starts[k]:
         first -= 1
     event = is_event[:first].sum() if is_event[first] else -1
-    for begin, until, regime, x, after in stretches(system, before, load, number, recorded[k], *times):
+    for stretch in stretches(system, before, load, number, recorded[k], *times):
+        begin, until, regime, x = stretch.begin, stretch.end, stretch.regime, stretch.x
         within = _grid(begin, until, step)
         sampled, parts = [np.array([begin]), within * step], [x[None]]
         if within.size:
             parts.append(states(regime, x, within[0] * step - begin, step, within.size))
         if begin < until:
-            last = after[None]
+            last = stretch.after[None].copy()
             if until == stop and not (system.impulsive and phases["kind"][k + 1] == TOUCH):
                 last[0, : recorded.shape[1]] = recorded[k + 1]
             sampled.append(np.array([until]))

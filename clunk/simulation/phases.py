@@ -7,6 +7,8 @@ searched for.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -62,14 +64,19 @@ def preload(system: System, inputs: Floats) -> Preload:
     return Preload(Status(status), regime, system.contacts[regime]["side"] * (status == Status.OK), x)
 
 
-class Stretch(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Stretch:
     """A part of a run in one regime under one piece of its load."""
 
     begin: float  # s after the load step
     end: float
     regime: Regime
     x: Floats  # (N,)  where it begins  [rad, rad/s], and the load's wave
-    after: Floats  # (N,)  where it ends
+
+    @cached_property
+    def after(self) -> Floats:
+        """(N,) the state where it ends."""
+        return states(self.regime, self.x, self.end - self.begin, 0.0, 1)[0]
 
 
 def stretches(
@@ -84,10 +91,11 @@ def stretches(
     for piece, kink in enumerate(kinks, first):
         if kink > begin:
             regime = regime_under(system, number, inputs_of(before, load, piece))
-            x = _with_wave(system, x, load[piece], begin)
-            after = states(regime, x, min(kink, end) - begin, 0.0, 1)[0]
-            yield Stretch(begin, min(kink, end), regime, x, after)
-            x, begin = after, kink
+            stretch = Stretch(begin, min(kink, end), regime, _with_wave(system, x, load[piece], begin))
+            yield stretch
+            if kink < end:
+                x = stretch.after
+            begin = kink
         if kink >= end:
             return
 

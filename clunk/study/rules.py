@@ -111,7 +111,7 @@ def _stages(config: Config) -> int:
 def _limits(config: Config) -> Iterator[Finding]:
     """Require a run of at least one step by rk4, and no more steps, periods of the load and regimes than can be run."""
     end, frequency = config.solver.end_time, config.load.frequency or 0.0
-    step = config.solver.step if config.solver.method == "rk4" else end
+    step = config.solver.step if config.solver.method == "rk4" else end  # exact takes none
     limits = (
         (step, end, ("solver", "step"), "a step of {:g} s is longer than the run, end_time = {:g} s"),
         (end / step, MOST_STEPS, ("solver", "step"), "a run has {:.2g} steps; at most {:g} are allowed"),

@@ -8,7 +8,6 @@ scheduler at once; tiles that run then go on to their ends, and their results ar
 
 import logging
 import pickle
-import sys
 import time
 from collections.abc import Mapping
 from concurrent.futures import CancelledError, Executor, Future
@@ -26,6 +25,7 @@ from clunk.study.arrays import Cells
 from clunk.sweeping.cells import Flag, Grid, Tile
 from clunk.sweeping.engines import EngineError
 from clunk.sweeping.machine import available_cores, cpu_model, versions
+from clunk.sweeping.progress import note
 
 _CONNECTING = 4.0  # s
 _ASKING = 1.0  # s between two looks at the number of threads
@@ -68,7 +68,7 @@ class Cluster(Executor):
                 client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
                 self._client = opened.enter_context(client)
                 if not self._client.nthreads():
-                    print(f"waiting for a worker of {self._address} …", file=sys.stderr)
+                    note(f"waiting for a worker of {self._address} …", True)
                     self._client.wait_for_workers(1)
             except Exception as error:  # any: the address may be of another service, or of none
                 raise EngineError(
