@@ -4,14 +4,8 @@
 
 Every term is computed by itself and none is the difference of the others, so that the residual tests the run: how far
 the state recorded at each event is from where the exact flow takes the one recorded before it. Within a stretch of a
-phase, under one piece of the load, x' = A x + B u with a constant u, so that y = x' = (θ', θ'', w') obeys y' = A y, and
-a damper takes c ∫ (row · y)² dt, a quadratic form in y at the stretch's start:
-
-    Ψ(t) = ∫ exp(A s) ds,  G(t) = ∫ exp(A s)ᵀ F exp(A s) ds,  F = rowᵀ row
-
-are power series for a short time, and Φ(2t) = Φ(t)², Ψ(2t) = Ψ(t) (1 + Φ(t)), G(2t) = G(t) + Φ(t)ᵀ G(t) Φ(t) with
-Φ = exp(A t) (C.F. Van Loan, Computing integrals involving the matrix exponential, 1978, doi:10.1109/TAC.1978.1101743).
-Neither has a growing exponential in it. The work of the load's wave w, ∫ w θ' dt, is such a form in (x, 1).
+phase, under one piece of the load, y = x' = (θ', θ'', w') obeys y' = A y. A damper takes c ∫ (row · y)² dt, a quadratic
+form in y at the stretch's start, and the work of the load's wave w, ∫ w θ' dt, is such a form in (y, w).
 """
 
 import math
@@ -23,12 +17,10 @@ from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.core.tables import TORQUE, half_gap_of
 from clunk.simulation.driveline import Driveline, build, held_inputs
 from clunk.simulation.load import run_load
-from clunk.simulation.phases import Regime, balanced, stretches
+from clunk.simulation.phases import integrals, stretches
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats, Integers
 from clunk.study.records import Record, tells, told
-
-_ORDER = 12  # of the power series, up to |A| t = 1/16: (2 |A| t)^12 / 12! is 3e-20
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,6 +91,8 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
 
     A term beyond the range of numbers is infinite or NaN.
     """
+    from scipy.linalg import block_diag  # see `phases._series`
+
     study, events, states = trajectory.study, trajectory.phases, trajectory.phase_states
     line, system = Driveline.from_study(study), build(study)
     n, impulsive = line.inertia.size, system.impulsive
@@ -120,25 +114,30 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         contact = indented(x, contacts["side"])[contacts["closed"] > 0].sum()
         return math.fsum((line.inertia @ x[n : 2 * n] ** 2 / 2.0, *shafts, contact))
 
-    work, damped, rubbed, x = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts)), states[0]
-    squares = np.zeros((len(rows), *system.rates.shape[1:]))  # F of each damper: its speed = row · θ'
-    squares[:, :n, :n] = rows[:, :, None] * rows[:, None, :]
-    held = held_inputs(line, system)
-    torques = [twist - 1 for twist in held[len(line.lashes) :]]
-    for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
-        times = event["time"], end
-        for stretch in stretches(system, before, load, event["regime"], start, *times):
-            regime, length = stretch.regime, stretch.end - stretch.begin
-            rates = regime.rates @ stretch.x + regime.forcing
-            travel, taken = _integrals(regime.rates, squares, length)
-            moved = travel @ rates
-            work += regime.inputs[TORQUE] * (line.load @ moved[:n])
-            work += _work_of_wave(regime, stretch.x, line.load, length)
-            dampers = np.append(line.shaft_damping, contact_dampings * regime.closed)
-            damped += dampers * np.einsum("i,kij,j->k", rates, taken, rates)
+    work, damped, rubbed = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts))
+    parts = [
+        stretch
+        for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True)
+        for stretch in stretches(system, before, load, event["regime"], start, event["time"], end)
+    ]
+    torques = [twist - 1 for twist in held_inputs(line, system)[len(line.lashes) :]]
+    size, wave = system.rates.shape[1], slice(2 * n, None)
+    forms = np.zeros((len(rows) + 1, 2 * size - 2 * n, 2 * size - 2 * n))  # F of each damper, and of the load's wave
+    forms[:-1, :n, :n] = rows[:, :, None] * rows[:, None, :]
+    forms[-1, :n, size : size + 1] = line.load[:, None] / 2.0
+    forms[-1] += forms[-1].T
+    for flow in sorted({part.regime.flow for part in parts}):
+        of_flow, rates = [part for part in parts if part.regime.flow == flow], system.rates[flow]
+        lengths = np.array([part.end - part.begin for part in of_flow])
+        taken_in_each = integrals(block_diag(rates, rates[wave, wave]), lengths, forms)
+        for (_, _, regime, x, motion, moved), (_, taken) in zip(of_flow, taken_in_each, strict=True):
+            y = np.append(motion, x[wave])
+            *by_dampers, by_wave = np.einsum("i,kij,j->k", y, taken, y)
+            damped += np.append(line.shaft_damping, contact_dampings * regime.closed) * by_dampers
+            work += by_wave + regime.inputs[TORQUE] * (line.load @ moved[:n])
             for (friction, shares), torque in zip(line.frictions, torques, strict=True):
                 rubbed += shares * regime.inputs[torque] * (friction.twist @ moved[:n])
-            x = stretch.x + moved
+    x = parts[-1].x + parts[-1].moved
 
     lost = 0.0
     if impulsive:
@@ -167,57 +166,3 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         dropped=dropped,
         regained=regained,
     )
-
-
-def _work_of_wave(regime: Regime, x: Floats, load: Floats, length: float) -> float:
-    """∫ w1 θ' dt of the loaded inertia over a time  [J]; x is (θ, θ', w), and load is 1 at that inertia."""
-    size, n = x.size, load.size
-    if size == 2 * n:
-        return 0.0
-    form = np.zeros((1, size + 1, size + 1))
-    form[0, 2 * n, n : 2 * n] = form[0, n : 2 * n, 2 * n] = load / 2.0
-    z = np.append(x, 1.0)
-    return z @ _integrals(regime.matrix, form, length)[1][0] @ z
-
-
-def _integrals(rates: Floats, forms: Floats, length: float) -> tuple[Floats, Floats]:
-    """Ψ and G of a flow over a time.
-
-    Parameters
-    ----------
-    rates : (N, N) float64
-        A.
-    forms : (m, N, N) float64
-        F, symmetric.
-    length : float  [s]
-
-    Returns
-    -------
-    travel : (N, N) float64  [s]
-        Ψ: x moves by Ψ x'.
-    integrals : (m, N, N) float64  [s]
-        G of each F.
-    """
-    size = rates.shape[0]
-    scaled, unit, largest = balanced(rates)
-    reach = largest * length
-    if not math.isfinite(reach):
-        return np.full((size, size), math.nan), np.full(forms.shape, math.nan)
-    doublings = max(0, math.ceil(math.log2(16.0 * reach))) if reach > 0.0 else 0
-    short = length / 2.0**doublings
-
-    term, form = np.eye(size), forms * unit[:, None] * unit
-    flow, travel, integrals = np.eye(size), np.zeros((size, size)), np.zeros_like(form)
-    for k in range(1, _ORDER + 1):
-        step = short / k
-        travel += term * step
-        integrals += form * step
-        term = term @ scaled * step
-        form = form @ scaled
-        form = (form + form.swapaxes(1, 2)) * step
-        flow += term
-    for _ in range(doublings):
-        integrals += flow.T @ integrals @ flow
-        travel += travel @ flow
-        flow = flow @ flow
-    return travel * unit[:, None] / unit, integrals / unit[:, None] / unit

@@ -18,7 +18,7 @@ from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import Regime, apply, regime_under, states, stretches
+from clunk.simulation.phases import Regime, apply, integrals, regime_under, states, stretches
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Bools, Flanks, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
@@ -285,19 +285,22 @@ def _after_event(
     while not is_event[first] and starts[first - 1] == starts[k]:
         first -= 1
     event = is_event[:first].sum() if is_event[first] else -1
-    for stretch in stretches(system, before, load, number, recorded[k], *times):
-        begin, until, regime, x = stretch.begin, stretch.end, stretch.regime, stretch.x
-        within = _grid(begin, until, step)
-        sampled, parts = [np.array([begin]), within * step], [x[None]]
-        if within.size:
-            parts.append(states(regime, x, within[0] * step - begin, step, within.size))
+    parts = list(stretches(system, before, load, number, recorded[k], *times))
+    grids = [_grid(part.begin, part.end, step) for part in parts]
+    firsts = [grid[0] * step - part.begin if grid.size else 0.0 for grid, part in zip(grids, parts, strict=True)]
+    travels = integrals(parts[0].regime.rates, np.array(firsts))
+    for part, grid, (travel, _) in zip(parts, grids, travels, strict=True):
+        begin, until, regime, x = part.begin, part.end, part.regime, part.x
+        sampled, rows = [np.array([begin]), grid * step], [x[None]]
+        if grid.size:
+            rows.append(states(regime, x + travel @ part.motion, step, grid.size))
         if begin < until:
-            last = stretch.after[None].copy()
+            last = (x + part.moved)[None]
             if until == stop and not (system.impulsive and phases["kind"][k + 1] == TOUCH):
                 last[0, : recorded.shape[1]] = recorded[k + 1]
             sampled.append(np.array([until]))
-            parts.append(last)
-        yield _Phase(np.concatenate(sampled), np.concatenate(parts), regime, event)
+            rows.append(last)
+        yield _Phase(np.concatenate(sampled), np.concatenate(rows), regime, event)
         event = -1
 
 

@@ -6,7 +6,6 @@ from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS,
 from clunk.core.regimes import System
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, TORQUE, TORQUE_RATE, FlowOf, half_gap_of
 from clunk.simulation.driveline import Driveline, flows_of
-from clunk.simulation.phases import exponentials
 from clunk.study.arrays import Floats
 from clunk.study.models import part_of
 from clunk.study.study import Study
@@ -112,7 +111,13 @@ def _tabulate(systems: System, channels: Floats) -> tuple[Floats, Floats, Floats
     terms = [channels]
     for k in range(1, TERMS):
         terms.append(terms[-1] @ rates / k)
-    steps = [exponentials(rates, 4.0 * fastest * lengths)]  # of matrices far from normal, four times the largest |λ|
+    step = power = np.broadcast_to(np.eye(size + driven), rates.shape)
+    for k in range(1, TERMS):  # of matrices far from normal, the norm is four times the largest |λ|
+        power = power @ rates / (16.0 * k)
+        step = step + power
+    for _ in range(4):
+        step = step @ step
+    steps = [step]
     for _ in range(1, LEVELS):
         steps.append(steps[-1] @ steps[-1])
     transposed = [np.ascontiguousarray(array.swapaxes(-1, -2)) for array in (np.stack(steps, axis=2), rates)]

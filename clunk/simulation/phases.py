@@ -2,13 +2,13 @@
 
 A ramp of the load is a part of its wave, and so of x. A phase, from one event to the next, is one stretch or several.
 
-With z = (x, 1), z(t) = exp(M t) z(0), M = [[A, B u], [0, 0]]. Every phase starts from a known state; no event is
-searched for.
+y = x' obeys y' = A y, so that x moves by Ψ(t) y, where Ψ(t) = ∫ exp(A s) ds. Every phase starts from a known state; no
+event is searched for.
 """
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,9 @@ from clunk.core.status import Status
 from clunk.core.tables import TORQUE
 from clunk.study.arrays import Floats, Integers
 
-_TERMS = 20  # of the power series, up to a norm of 1/2: the next one is 4e-25
+_TERMS = 18  # of the power series, up to a norm of 1/2: the next one, of a form, is 1/19! = 8e-18
+_NO_FORMS = np.zeros((0, 1, 1))
+_AT_ONCE = 512  # times: enough that each costs little more than its sums, and few enough for any driveline's matrices
 
 
 class Regime(NamedTuple):
@@ -32,13 +34,6 @@ class Regime(NamedTuple):
     inputs: Floats  # (I,)  u, each by the regime's weight
     sides: Integers  # (L,)  sign of q on each lash's flank concerned, 0 for none
     closed: Integers  # (L,)  whether its flanks press on each other
-
-    @property
-    def matrix(self) -> Floats:
-        """M, (N + 1, N + 1)."""
-        matrix = np.pad(self.rates, (0, 1))
-        matrix[:-1, -1] = self.forcing
-        return matrix
 
 
 def regime_under(system: System, number: int, inputs: Floats) -> Regime:
@@ -64,19 +59,15 @@ def preload(system: System, inputs: Floats) -> Preload:
     return Preload(Status(status), regime, system.contacts[regime]["side"] * (status == Status.OK), x)
 
 
-@dataclass(frozen=True, eq=False)
-class Stretch:
+class Stretch(NamedTuple):
     """A part of a run in one regime under one piece of its load."""
 
     begin: float  # s after the load step
     end: float
     regime: Regime
     x: Floats  # (N,)  where it begins  [rad, rad/s], and the load's wave
-
-    @cached_property
-    def after(self) -> Floats:
-        """(N,) the state where it ends."""
-        return states(self.regime, self.x, self.end - self.begin, 0.0, 1)[0]
+    motion: Floats  # (N,)  y = x' there
+    moved: Floats  # (N,)  by how much the state moves until the end
 
 
 def stretches(
@@ -87,20 +78,20 @@ def stretches(
     before : inputs d before the load step  [N m, rad, N m/s]
     """
     first = int(np.searchsorted(load[:, BEGIN], begin, side="right")) - 1
-    kinks = [*load[first + 1 :, BEGIN].tolist(), np.inf]
-    for piece, kink in enumerate(kinks, first):
-        if kink > begin:
-            regime = regime_under(system, number, inputs_of(before, load, piece))
-            stretch = Stretch(begin, min(kink, end), regime, _with_wave(system, x, load[piece], begin))
-            yield stretch
-            if kink < end:
-                x = stretch.after
-            begin = kink
-        if kink >= end:
-            return
+    kinks = np.append(load[first + 1 :, BEGIN], np.inf)
+    begins, ends = np.append(begin, kinks[:-1]), np.minimum(kinks, end)
+    pieces = np.flatnonzero((kinks > begins) & ((begins < end) | (begins == begin)))
+    travels = integrals(system.rates[system.regimes[number]["flow"]], (ends - begins)[pieces])
+    for piece, (travel, _) in zip(pieces, travels, strict=True):
+        regime = regime_under(system, number, inputs_of(before, load, first + piece))
+        x = _with_wave(system, x, load[first + piece], begins[piece])
+        motion = regime.rates @ x + regime.forcing
+        moved = travel @ motion
+        yield Stretch(begins[piece], ends[piece], regime, x, motion, moved)
+        x = x + moved
 
 
-def inputs_of(before: Floats, load: Floats, piece: int) -> Floats:
+def inputs_of(before: Floats, load: Floats, piece: np.intp | int) -> Floats:
     """The inputs d, from those before the load step, under a piece of a load without its wave  [N m, rad, N m/s]."""
     inputs = before.copy()
     inputs[TORQUE] = load[piece, LEVEL]
@@ -114,15 +105,20 @@ def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats
         return x
     wave = np.array([piece[WAVE], piece[WAVE_PARTNER] + piece[SLOPE]])
     if begin > piece[BEGIN]:
-        wave = _exponential((begin - piece[BEGIN]) * system.rates[0, size:, size:]) @ wave
+        rates = system.rates[0, size:, size:]
+        travel, _ = next(integrals(rates, np.array([begin - piece[BEGIN]])))
+        wave += travel @ rates @ wave
     return np.concatenate([x[:size], wave])
 
 
-def states(regime: Regime, x: Floats, offset: float, step: float, count: int) -> Floats:
-    """(count, N) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
-    matrix, z = regime.matrix, np.empty((count, x.size + 1))
-    z[0], filled = _exponential(offset * matrix) @ np.append(x, 1.0), 1
-    power = _exponential(step * matrix) if count > 1 else matrix
+def states(regime: Regime, x: Floats, step: float, count: int) -> Floats:
+    """(count, N) the states from `x` on, a step apart  [rad, rad/s]."""
+    z, power, filled = np.ones((count, x.size + 1)), np.eye(x.size + 1), 1  # of (x, 1)
+    z[0, :-1] = x
+    if count > 1:
+        travel, _ = next(integrals(regime.rates, np.array([step])))
+        power[:-1, :-1] += regime.rates @ travel
+        power[:-1, -1] = travel @ regime.forcing
     while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
         more = min(filled, count - filled)
         z[filled : filled + more] = apply(power, z[:more])
@@ -130,50 +126,63 @@ def states(regime: Regime, x: Floats, offset: float, step: float, count: int) ->
     return z[:, :-1]
 
 
-def _exponential(matrix: Floats) -> Floats:
-    """exp(matrix), NaN where that is no number.
+def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iterator[tuple[Floats, Floats]]:
+    """Ψ(t) = ∫ exp(A s) ds and G(t) = ∫ exp(A s)ᵀ F exp(A s) ds over each of some times; NaN where A is no number.
 
-    scipy's expm takes LAPACK, whose threads wait for each other: 15 ms for nine rows on a busy machine, and a history
-    needs forty of them. Of drivelines as stiff as configs/car_tip_in.toml both are right to 1e-11.
-    """
-    scaled, unit, size = balanced(matrix)
-    if not np.isfinite(size):
-        return np.full(matrix.shape, np.nan)
-    return np.asarray(exponentials(scaled, np.asarray(size)) * unit[:, None] / unit)
-
-
-def exponentials(matrices: Floats, sizes: Floats) -> Floats:
-    """exp(matrix), by the power series of a part of it that is squared again and again: (…, Z, Z).
+    They are power series for a short time, and Ψ(2t) = Ψ(t) (1 + Φ(t)), G(2t) = G(t) + Φ(t)ᵀ G(t) Φ(t) with
+    Φ = exp(A t) = 1 + A Ψ (C.F. Van Loan, Computing integrals involving the matrix exponential, 1978,
+    doi:10.1109/TAC.1978.1101743). Neither has a growing exponential in it.
 
     Parameters
     ----------
-    matrices : (…, Z, Z) float64
-    sizes : (…,) float64
-        A norm of each, or as much: so many halvings make it 1/2.
+    rates : (N, N) float64
+        A.
+    lengths : (S,) float64  [s]
+    forms : (m, N, N) float64, optional
+        F, symmetric.
+
+    Yields
+    ------
+    travel : (N, N) float64  [s]
+    integrals : (m, N, N) float64  [s]
     """
-    squarings = np.maximum(0, np.ceil(np.log2(np.maximum(2.0 * sizes, 1e-300))).astype(np.int64))[..., None, None]
-    part = matrices * np.ldexp(1.0, -squarings)
-    total = power = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
-    for k in range(1, _TERMS):
-        power = power @ part / k
-        total = total + power
-    for k in range(squarings.max(initial=0)):
-        total = np.where(squarings > k, total @ total, total)
-    return total
+    scaled, unit, norm, terms = _series(rates.tobytes())
+    of_forms = [forms * unit[:, None] * unit]
+    for k in range(2, _TERMS + 1):
+        product = of_forms[-1] @ scaled / k
+        of_forms.append(product + product.swapaxes(1, 2))
+    for k in range(0, lengths.size, _AT_ONCE):
+        reach = norm * lengths[k : k + _AT_ONCE]
+        doublings = np.maximum(np.frexp(2.0 * np.nan_to_num(reach, posinf=0.0))[1], 0)
+        powers = np.ldexp(reach, -doublings)[:, None] ** np.arange(1, _TERMS + 1)
+        travel, grown = np.tensordot(powers, terms, 1), np.tensordot(powers, of_forms, 1)
+        for n in range(doublings.max()):
+            more = doublings > n
+            half = travel[more]
+            flow = np.eye(len(rates)) + scaled @ half
+            travel[more] += half @ flow
+            grown[more] += flow.swapaxes(1, 2)[:, None] @ grown[more] @ flow[:, None]
+        yield from zip(travel / norm * unit[:, None] / unit, grown / norm / unit[:, None] / unit, strict=True)
 
 
-def balanced(matrix: Floats) -> tuple[Floats, Floats, float]:
-    """A matrix in units in which angles and velocities are of one size, these units, and its norm.
+@lru_cache(maxsize=64)  # a run comes back to its flows
+def _series(rates: bytes) -> tuple[Floats, Floats, float, Floats]:
+    """A of a flow in units in which angles and velocities are of one size, these, its norm there, and the terms of Ψ.
 
-    The norm is about its largest |λ|; NaN or infinite where the matrix is not a number.
+    A is divided by its norm, which is about its largest |λ|; NaN where it is not a number.
     """
     from scipy.linalg import matrix_balance  # a fifth of a second, which runs without histories do not take
 
-    if not np.all(np.isfinite(matrix)):
-        return matrix, np.ones(len(matrix)), np.nan
-    with np.errstate(invalid="ignore"):  # it also casts the units to integers, for permutations that there are none of
-        scaled, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
-    return scaled, unit, float(np.linalg.norm(scaled))
+    size = math.isqrt(len(rates) // 8)
+    matrix, unit, norm = np.frombuffer(rates).reshape(size, size), np.ones(size), np.nan
+    if np.all(np.isfinite(matrix)):
+        with np.errstate(invalid="ignore"):  # it also casts the units to integers, for permutations, of which are none
+            matrix, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
+        norm = float(np.linalg.norm(matrix)) or 1.0
+    terms = [np.eye(size)]
+    for k in range(2, _TERMS + 1):
+        terms.append(terms[-1] @ (matrix / norm) / k)
+    return matrix / norm, unit, norm, np.array(terms)
 
 
 def apply(matrix: Floats, rows: Floats) -> Floats:

@@ -86,7 +86,7 @@ class SmallGap(NamedTuple):
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
         regime = regime_under(system, rest.regime, after)
-        state = states(regime, rest.x, 0.0, step, time.size)
+        state = states(regime, rest.x, step, time.size)
         across = torque_across(driveline, driveline_at(system, None), regime.flow, 0)[0]
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time

@@ -67,6 +67,7 @@ _TOO_SLOW = 1e-10
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _GROWTH = math.exp(_SHORTEST / 2.0)
 _FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
+_FILLED = 3  # fields of `Flows` that `_fill` leaves to others come first
 _FAR = 2.0**40  # units of a displacement that nothing depends on
 
 
@@ -76,17 +77,17 @@ class Flows(NamedTuple):
     K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8, SPANS or MORE_SPANS.
     """
 
+    # over a span: each coordinate's SELF and CROSS share; in the last row those of a generator of modes
+    propagator: FloatArray  # (K, SPANS + 1, B, 2, 8)
+    watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> THIRD to SIXTH
+    series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     # the particular solution and its first three derivatives at t = 0, per input; rolling apart, as in `basis`
     origin: FloatArray  # (K, 4, I, C)
     origin_output: FloatArray  # (K, 4, F, I)  the functionals of it
     coordinates: FloatArray  # (K, N, C)  x - origin -> y
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up; the angles of x less the rolling, which stands apart
     span: FloatArray  # (K, SPANS)  [s]
-    # over a span: each coordinate's SELF and CROSS share; in the last row those of a generator of modes
-    propagator: FloatArray  # (K, SPANS + 1, B, 2, 8)
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
-    watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> THIRD to SIXTH
-    series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     modal: IntArray  # (K,)  whether the coordinates are modes
     steady: IntArray  # (K,)  whether the functionals of the origin do not move under a constant torque
 
@@ -135,15 +136,15 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     size = whole(max([states, *(wave + _ends(each.modes.slots) for each in groups if each.modes is not None)]))
     blocks = size // ROW
     shapes = (
+        (spans + 1, blocks, 2, ROW),
+        (count, blocks, WATCHED),
+        (count, size, LONG),
         (4, driven, size),
         (4, count, driven),
         (states, size),
         (size, size),
         (spans,),
-        (spans + 1, blocks, 2, ROW),
         (size, size),
-        (count, blocks, WATCHED),
-        (count, size, LONG),
     )
     # In one piece, for which there are larger pages: a sweep of such drivelines takes 3 % less time.
     ends = np.cumsum([math.prod((*many, *shape)) for shape in shapes])
@@ -234,9 +235,11 @@ def _ends(slots: IntArray) -> int:
 
 
 def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
-    """Tables of the flows of a group; the coordinates that a chain has fewer than the tables stay zero."""
+    """Tables of the flows of a group, and the first terms of the series; coordinates that it has fewer stay zero."""
     flows, chain, scaled, modes = group
-    tables = Flows._make(np.zeros((len(chain.inertia), *table.shape[2:]), table.dtype) for table in every)
+    filled = every[_FILLED:]
+    made = [np.zeros((len(chain.inertia), *table.shape[2:]), table.dtype) for table in filled]
+    tables = Flows._make([*every[:_FILLED], *made])
     rates, inputs, functionals, feedthrough = (  # A, B, C and D
         array[:, flows].reshape(-1, *array.shape[2:]) for array in system[:4]
     )
@@ -278,9 +281,11 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     tables.coordinates[..., place] = into.swapaxes(-1, -2)
     tables.basis[:, place, :states] = back.swapaxes(-1, -2)
     tables.generator[:, place[:, None], place] = shortest[:, None, None] * block
-    tables.series[:, :, place, 0] = times(functionals, back)
-    for table, of_group in zip(every, tables, strict=True):
+    for table, of_group in zip(filled, made, strict=True):
         table[:, flows] = of_group.reshape(-1, flows.size, *table.shape[2:])
+    firsts = times(functionals, back)
+    places = slice(None), flows[:, None, None], np.arange(firsts.shape[1])[:, None], place, 0
+    every.series[places] = firsts.reshape(len(every.series), flows.size, *firsts.shape[1:])
 
 
 def halves(rows: Any) -> Any:
