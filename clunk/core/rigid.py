@@ -21,7 +21,7 @@ _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
 _STILL = 1e-9  # of a lash's fastest touch: rounding tells whether flanks of another one that are slower approach
 _SWING = 0.1  # rad, of the motion to come, which rounds a gap as it goes on
-_APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
+_APART = 1e-13  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
 
 
 @part
