@@ -144,7 +144,7 @@ def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(t
     broken = Claim("§0", "two and two make four", "five", False, Verdict.AGREES)
     monkeypatch.setattr(claims, "claims", lambda _evidence: [broken])
     monkeypatch.setattr(reproduction, "figures", lambda e: {"figure_3_1": _figures(e)["figure_3_1"]})
-    code, out, err = command("reproduce", "-o", tmp_path, "--coarsen", "20")
+    code, out, err = command("reproduce", "-o", tmp_path, "--coarsen", "10")
     assert code == 4
     assert "five" in out
     assert "1 of 1 claims no longer agree" in err

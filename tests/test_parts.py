@@ -1,5 +1,6 @@
 """Sweeps that are stopped, killed or get in each other's way: what is done stays, and the results are the same bits."""
 
+import errno
 import json
 import os
 import shutil
@@ -16,7 +17,7 @@ from test_sweeping import digest_of, equal, figure_3_4
 import clunk
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
-from clunk.sweeping import engines, parts as keeping
+from clunk.sweeping import engines, parts as keeping, sweep as sweeping
 from clunk.sweeping.machine import versions
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.sweep import Job, sweep
@@ -98,6 +99,39 @@ def test_a_finished_sweep_leaves_no_directory_and_a_short_one_no_parts(study, ta
         Job(study, directory=directory).run()
         assert directory.parts() == []
     assert list(target.parent.iterdir()) == []
+
+
+def test_stopped_behind_its_last_cell_a_sweep_keeps_all(study, whole, target, monkeypatch):
+    def interrupted(_engine):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, WorkingDirectory(target) as directory:
+        patched.setattr(sweeping, "provenance", interrupted)
+        with pytest.raises(KeyboardInterrupt) as raised:
+            Job(study, directory=directory).run()
+    assert raised.value.__notes__ == [f"289 cells are kept in {directory.path}; the same command goes on from there"]
+    results, parts = resumed(study, target)
+    assert parts.taken_up == 289
+    assert equal(results, whole)
+
+
+@pytest.mark.parametrize("name", ["part-000001", "manifest.json"])
+def test_what_cannot_be_read_for_now_stays(study, whole, target, often, monkeypatch, name):
+    kept = stopped(study, target, 60)
+    read_bytes = Path.read_bytes
+
+    def failing(path):
+        if path.name == name:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return read_bytes(path)
+
+    with monkeypatch.context() as patched, WorkingDirectory(target) as directory:
+        patched.setattr(Path, "read_bytes", failing)
+        with pytest.raises(PartsError, match=rf"{name} cannot be read: input/output error"):
+            Job(study, directory=directory).run()
+    results, parts = resumed(study, target)
+    assert (parts.taken_up, parts.discarded) == (kept, 0)
+    assert equal(results, whole)
 
 
 def test_parts_of_another_config_are_refused_with_what_differs(study, target):

@@ -133,6 +133,7 @@ def optimize(
             files.write_text(path, to_toml(best.study))
             terminal.say_written(path)
     if interrupt is not None:
+        interrupt.add_note("the search was not finished; this is the best that it has found")
         raise interrupt
     if picture is not None:
         from clunk.plot import analyses, histories

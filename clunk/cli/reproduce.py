@@ -12,10 +12,15 @@ from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, output_option, w
 @click.command()
 @output_option(default="results/reproduction", help="Directory of the figures.")
 @workers_option
-@click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
+@click.option(
+    "--coarsen",
+    type=click.Choice(["1", "2", "5", "10"]),  # by which each load ratio and backlash that the report names stays
+    default="1",
+    help="Only each n-th value of the maps' axes [1].",
+)
 @click.option("--table", type=PATH, help="Also write the claims into this Markdown file.")
 @json_option
-def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | None, as_json: bool) -> None:
+def reproduce(output: Path, workers: int | None, coarsen: str, table: Path | None, as_json: bool) -> None:
     """Recompute the report that clunk is built on.
 
     Every number and claim stands beside ours, every figure is redrawn. Exits with 4 where a claim that is known to
@@ -33,19 +38,19 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
     from clunk.results import files
 
     files.check(output / "figure_3_1.png", files.PICTURES)
-    evidence = Evidence(run_maps(coarsen, workers, progress=True))
+    evidence = Evidence(run_maps(int(coarsen), workers, progress=True))
     claims = claims_of(evidence)
-    reproduction.save_all(evidence, claims, output)
-    if table is not None:
-        reproduction.write_tables(table, claims)
     if as_json:
         tables.print_record(claims)
     else:
         for claim in claims:
             tables.tell(claim, as_json)
             click.echo()
-    if coarsen > 1:
+    if coarsen != "1":
         click.echo(f"note: maps have one of {coarsen} values an axis, on which shares and thresholds depend", err=True)
+    reproduction.save_all(evidence, claims, output)
+    if table is not None:
+        reproduction.write_tables(table, claims)
     terminal.say_written(output)
     failed = [claim for claim in claims if claim.failed]
     if failed:

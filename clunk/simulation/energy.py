@@ -19,7 +19,7 @@ from clunk.simulation.driveline import Driveline, build, held_inputs
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import integrals, stretches
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.arrays import Floats, Integers
+from clunk.study.arrays import Floats
 from clunk.study.records import Record, tells, told
 
 
@@ -100,19 +100,12 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     half_gaps = before[[half_gap_of(lash) for lash in range(len(line.lashes))]]
     rows, contact_dampings = np.vstack([line.shafts, line.lashes]), line.contact_dampings * (not impulsive)
 
-    def indented(x: Floats, sides: Integers) -> Floats:
-        """(L,) what the contact of each lash stores at one of its flanks."""
-        overlaps = sides * (line.lashes @ x[:n]) - half_gaps
-        return line.contact_stiffnesses * overlaps**2 / 2.0 * (not impulsive)
-
-    def at_event(x: Floats, lash: int, side: int) -> float:
-        return indented(x, np.full(len(line.lashes), side))[lash]
-
     def stored(x: Floats, regime: int) -> float:
         """Energy stored in the inertias, in the shafts and in the contact."""
-        shafts, contacts = line.shaft_energy(x[:n]), system.contacts[regime]
-        contact = indented(x, contacts["side"])[contacts["closed"] > 0].sum()
-        return math.fsum((line.inertia @ x[n : 2 * n] ** 2 / 2.0, *shafts, contact))
+        contacts = system.contacts[regime]
+        overlaps = contacts["side"] * (line.lashes @ x[:n]) - half_gaps
+        contact = line.contact_stiffnesses * (contacts["closed"] > 0) @ overlaps**2 / 2.0 * (not impulsive)
+        return math.fsum((line.inertia @ x[n : 2 * n] ** 2 / 2.0, *line.shaft_energy(x[:n]), contact))
 
     work, damped, rubbed = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts))
     parts = [
@@ -137,7 +130,6 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
             work += by_wave + regime.inputs[TORQUE] * (line.load @ moved[:n])
             for (friction, shares), torque in zip(line.frictions, torques, strict=True):
                 rubbed += shares * regime.inputs[torque] * (friction.twist @ moved[:n])
-    x = parts[-1].x + parts[-1].moved
 
     lost = 0.0
     if impulsive:
@@ -150,15 +142,15 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
             passed = system.passed[(together - bits[struck])[:, None], struck[:, None], struck]
             speeds, after = events["speed"][impact], line.lashes[struck] @ states[impact[-1], n : 2 * n]
             lost += (speeds @ passed @ speeds - after @ passed @ after) / 2.0
-    by_force = np.array([not impulsive and lash.contact.separation == "force" for lash in study.lashes])[events["lash"]]
-    dropped, regained = (
-        math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))
-        for chosen in (by_force & (events["kind"] == SEPARATION), by_force & (events["kind"] == REJOIN))
-    )
+    lash = events["lash"]
+    by_force = np.array([not impulsive and each.contact.separation == "force" for each in study.lashes])[lash]
+    overlaps = events["side"] * np.sum(line.lashes[lash] * states[:, :n], axis=1) - half_gaps[lash]
+    springs = by_force * line.contact_stiffnesses[lash] * overlaps**2 / 2.0
+    dropped, regained = (springs[events["kind"] == kind].sum() for kind in (SEPARATION, REJOIN))
     return EnergyBalance(
         work=work,
         stored_before=stored(states[0], events["regime"][0]),
-        stored_after=stored(x, events["regime"][-1]),
+        stored_after=stored(parts[-1].x + parts[-1].moved, events["regime"][-1]),
         damped_in_shafts=tuple(damped[: len(line.shafts)].tolist()),
         damped_in_contact=damped[len(line.shafts) :].sum(),
         rubbed_in_shafts=tuple(rubbed.tolist()),

@@ -289,13 +289,12 @@ def _after_event(
     grids = [_grid(part.begin, part.end, step) for part in parts]
     firsts = [grid[0] * step - part.begin if grid.size else 0.0 for grid, part in zip(grids, parts, strict=True)]
     travels = integrals(parts[0].regime.rates, np.array(firsts))
-    for part, grid, (travel, _) in zip(parts, grids, travels, strict=True):
-        begin, until, regime, x = part.begin, part.end, part.regime, part.x
+    for (begin, until, regime, x, motion, moved), grid, (travel, _) in zip(parts, grids, travels, strict=True):
         sampled, rows = [np.array([begin]), grid * step], [x[None]]
         if grid.size:
-            rows.append(states(regime, x + travel @ part.motion, step, grid.size))
+            rows.append(states(regime, x + travel @ motion, step, grid.size))
         if begin < until:
-            last = (x + part.moved)[None]
+            last = (x + moved)[None]
             if until == stop and not (system.impulsive and phases["kind"][k + 1] == TOUCH):
                 last[0, : recorded.shape[1]] = recorded[k + 1]
             sampled.append(np.array([until]))

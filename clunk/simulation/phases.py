@@ -6,7 +6,6 @@ y = x' obeys y' = A y, so that x moves by Ψ(t) y, where Ψ(t) = ∫ exp(A s) ds
 event is searched for.
 """
 
-import math
 from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
@@ -77,7 +76,7 @@ def stretches(
 
     before : inputs d before the load step  [N m, rad, N m/s]
     """
-    first = int(np.searchsorted(load[:, BEGIN], begin, side="right")) - 1
+    first = np.searchsorted(load[:, BEGIN], begin, side="right") - 1
     kinks = np.append(load[first + 1 :, BEGIN], np.inf)
     begins, ends = np.append(begin, kinks[:-1]), np.minimum(kinks, end)
     pieces = np.flatnonzero((kinks > begins) & ((begins < end) | (begins == begin)))
@@ -146,7 +145,7 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
     travel : (N, N) float64  [s]
     integrals : (m, N, N) float64  [s]
     """
-    scaled, unit, norm, terms = _series(rates.tobytes())
+    scaled, unit, norm, terms = _series(rates.tobytes(), len(rates))
     of_forms = [forms * unit[:, None] * unit]
     for k in range(2, _TERMS + 1):
         product = of_forms[-1] @ scaled / k
@@ -166,14 +165,13 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
 
 
 @lru_cache(maxsize=64)  # a run comes back to its flows
-def _series(rates: bytes) -> tuple[Floats, Floats, float, Floats]:
+def _series(rates: bytes, size: int) -> tuple[Floats, Floats, float, Floats]:
     """A of a flow in units in which angles and velocities are of one size, these, its norm there, and the terms of Ψ.
 
-    A is divided by its norm, which is about its largest |λ|; NaN where it is not a number.
+    A, (size, size), is divided by its norm, which is about its largest |λ|; NaN where it is not a number.
     """
     from scipy.linalg import matrix_balance  # a fifth of a second, which runs without histories do not take
 
-    size = math.isqrt(len(rates) // 8)
     matrix, unit, norm = np.frombuffer(rates).reshape(size, size), np.ones(size), np.nan
     if np.all(np.isfinite(matrix)):
         with np.errstate(invalid="ignore"):  # it also casts the units to integers, for permutations, of which are none

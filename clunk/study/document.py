@@ -64,9 +64,9 @@ def parse_toml(text: str, source: str) -> Document:
     except RecursionError:
         document = None
     except ValueError as error:  # also where Python refuses to read an integer of more than 4300 digits
-        reason = str(error) if isinstance(error, tomllib.TOMLDecodeError) else "it has an integer of thousands of digits"
-        line = re.search(r"at line (\d+)", reason)
-        raise _refusal(f"{source} is not valid TOML: {reason}.", int(line[1]) if line else None) from None
+        why = str(error) if isinstance(error, tomllib.TOMLDecodeError) else "it has an integer of thousands of digits"
+        line = re.search(r"at line (\d+)", why)
+        raise _refusal(f"{source} is not valid TOML: {why}.", int(line[1]) if line else None) from None
     if document is None or _is_too_deep(document):
         raise _refusal(f"{source} is nested too deeply for a config.")
     return document

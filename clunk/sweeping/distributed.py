@@ -28,6 +28,7 @@ from clunk.sweeping.machine import available_cores, cpu_model, versions
 from clunk.sweeping.progress import note
 
 _CONNECTING = 4.0  # s
+_WAITING = "waiting for a worker of {} …"
 _ASKING = 1.0  # s between two looks at the number of threads
 _LOGS = ("distributed", "distributed.client", "tornado.application")  # silent: errors are sentences here
 _LOCAL: dict[str, Any] = {
@@ -68,7 +69,7 @@ class Cluster(Executor):
                 client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
                 self._client = opened.enter_context(client)
                 if not self._client.nthreads():
-                    note(f"waiting for a worker of {self._address} …", True)
+                    note(_WAITING.format(self._address), True)
                     self._client.wait_for_workers(1)
             except Exception as error:  # any: the address may be of another service, or of none
                 raise EngineError(
@@ -87,7 +88,10 @@ class Cluster(Executor):
         """Number of threads of the workers, or 1 while there are none."""
         if time.monotonic() - self._asked > _ASKING:
             try:
-                self._threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
+                threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
+                if self._threads and not threads:
+                    note(_WAITING.format(self._address), True)
+                self._threads = threads
             except Exception as error:  # depends on the layer that notices first that the scheduler has gone
                 raise self.explained(CancelledError()) from error
         return max(1, self._threads)

@@ -135,8 +135,8 @@ class Parts:
         """The parts that are whole and of this sweep; all others are removed."""
         for path in self.directory.parts():
             try:
-                tiles = tiles_of(path.read_bytes(), self._origin)
-            except (OSError, ValueError):
+                tiles = tiles_of(_bytes_of(path), self._origin)
+            except ValueError:
                 self.discarded += 1
                 with suppress(OSError):
                     path.unlink()
@@ -180,19 +180,28 @@ class Parts:
     def _refuse_other_sweeps(self, study: Study) -> None:
         """Compare with the directory's manifest; one that cannot be read is removed, as parts identify themselves."""
         path = self.directory.path / "manifest.json"
+        if not path.exists():
+            return
         try:
-            earlier = json.loads(path.read_bytes())
+            earlier = json.loads(_bytes_of(path))
             is_other = earlier["config_digest"] != self._manifest["config_digest"]
             differing = differences(earlier["config"], study)
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
+        except (ValueError, LookupError, TypeError, AttributeError):
+            path.unlink()
             return
         if is_other:
             raise PartsError(
                 f"{self.directory.path} holds an unfinished sweep of another config ({differing}): finish that one, or "
                 "begin anew with --restart (in Python, restart=True)."
             )
+
+
+def _bytes_of(path: Path) -> bytes:
+    """What a file of the working directory holds; raises PartsError where it cannot be read, as it may be later."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise PartsError(f"{path} cannot be read: {reason(error)}.") from error
 
 
 def write_tiles(file: BinaryIO, tiles: Sequence[Tile], origin: bytes) -> None:

@@ -98,10 +98,23 @@ class Job:
             raise
         finally:
             if added is not self.held and self.path is not None and self.directory is not None:
-                with deferred_signals(), suppress(PartsError):  # parts of the map that cannot be removed stay
+                with deferred_signals(), self._kept():
                     write_results(self.path, added, self.directory.path)
-                    self.directory.clear()
+                    with suppress(PartsError):  # parts of the map that cannot be removed stay
+                        self.directory.clear()
         return added
+
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        """Keep the finished cells where something stops, and say where they are."""
+        try:
+            yield
+        except (KeyboardInterrupt, SystemExit, EngineError, StoreError) as stopped:  # SIGINT, SIGTERM, workers gone
+            if self.parts is not None:
+                self.parts.flush()
+                kept = f"{self.parts.kept:,} cells are kept in {self.parts.directory.path}; the same command goes on"
+                stopped.add_note(f"{kept} from there" if self.parts.kept else "no cell was finished")
+            raise
 
     def run(
         self,
@@ -134,20 +147,10 @@ class Job:
                 if parts.taken_up:
                     note(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there", progress)
             before = reduction.done
-            try:
+            with self._kept():
                 reduction.run(engine, workers, report, None if parts is None else parts.add)
-            except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
-                if parts is not None:
-                    parts.flush()
-                if self.path is not None:
-                    stopped.add_note(
-                        f"{parts.kept:,} cells are kept in {parts.directory.path}; the same command goes on from there"
-                        if parts is not None and parts.kept
-                        else "no cell was finished"
-                    )
-                raise
-            make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
-            result = make(reduction, provenance(engine))
+                make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
+                result = make(reduction, provenance(engine))
             self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
             return result
 
