@@ -288,11 +288,12 @@ def _after_event(
     parts = list(stretches(system, before, load, number, recorded[k], *times))
     grids = [_grid(part.begin, part.end, step) for part in parts]
     firsts = [grid[0] * step - part.begin if grid.size else 0.0 for grid, part in zip(grids, parts, strict=True)]
-    travels = integrals(parts[0].regime.rates, np.array(firsts))
+    travels = integrals(parts[0].regime.rates, np.array([step, *firsts]))
+    of_step, _ = next(travels)
     for (begin, until, regime, x, motion, moved), grid, (travel, _) in zip(parts, grids, travels, strict=True):
         sampled, rows = [np.array([begin]), grid * step], [x[None]]
         if grid.size:
-            rows.append(states(regime, x + travel @ motion, step, grid.size))
+            rows.append(states(regime, x + travel @ motion, of_step, grid.size))
         if begin < until:
             last = (x + moved)[None]
             if until == stop and not (system.impulsive and phases["kind"][k + 1] == TOUCH):

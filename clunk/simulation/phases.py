@@ -20,7 +20,7 @@ from clunk.core.tables import TORQUE
 from clunk.study.arrays import Floats, Integers
 
 _TERMS = 18  # of the power series, up to a norm of 1/2: the next one, of a form, is 1/19! = 8e-18
-_NO_FORMS = np.zeros((0, 1, 1))
+_NO_FORMS = np.zeros(0)
 _AT_ONCE = 512  # times: enough that each costs little more than its sums, and few enough for any driveline's matrices
 
 
@@ -110,14 +110,12 @@ def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats
     return np.concatenate([x[:size], wave])
 
 
-def states(regime: Regime, x: Floats, step: float, count: int) -> Floats:
-    """(count, N) the states from `x` on, a step apart  [rad, rad/s]."""
+def states(regime: Regime, x: Floats, travel: Floats, count: int) -> Floats:
+    """(count, N) the states from `x` on, a step apart, of which travel is Ψ  [rad, rad/s]."""
     z, power, filled = np.ones((count, x.size + 1)), np.eye(x.size + 1), 1  # of (x, 1)
     z[0, :-1] = x
-    if count > 1:
-        travel, _ = next(integrals(regime.rates, np.array([step])))
-        power[:-1, :-1] += regime.rates @ travel
-        power[:-1, -1] = travel @ regime.forcing
+    power[:-1, :-1] += regime.rates @ travel
+    power[:-1, -1] = travel @ regime.forcing
     while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
         more = min(filled, count - filled)
         z[filled : filled + more] = apply(power, z[:more])
@@ -145,11 +143,7 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
     travel : (N, N) float64  [s]
     integrals : (m, N, N) float64  [s]
     """
-    scaled, unit, norm, terms = _series(rates.tobytes(), len(rates))
-    of_forms = [forms * unit[:, None] * unit]
-    for k in range(2, _TERMS + 1):
-        product = of_forms[-1] @ scaled / k
-        of_forms.append(product + product.swapaxes(1, 2))
+    scaled, unit, norm, terms, of_forms = _series(rates.tobytes(), forms.tobytes(), len(rates))
     for k in range(0, lengths.size, _AT_ONCE):
         reach = norm * lengths[k : k + _AT_ONCE]
         doublings = np.maximum(np.frexp(2.0 * np.nan_to_num(reach, posinf=0.0))[1], 0)
@@ -165,8 +159,8 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
 
 
 @lru_cache(maxsize=64)  # a run comes back to its flows
-def _series(rates: bytes, size: int) -> tuple[Floats, Floats, float, Floats]:
-    """A of a flow in units in which angles and velocities are of one size, these, its norm there, and the terms of Ψ.
+def _series(rates: bytes, forms: bytes, size: int) -> tuple[Floats, Floats, float, Floats, Floats]:
+    """A of a flow in units in which angles and velocities are of one size, these, its norm there, the terms of Ψ and G.
 
     A, (size, size), is divided by its norm, which is about its largest |λ|; NaN where it is not a number.
     """
@@ -177,10 +171,13 @@ def _series(rates: bytes, size: int) -> tuple[Floats, Floats, float, Floats]:
         with np.errstate(invalid="ignore"):  # it also casts the units to integers, for permutations, of which are none
             matrix, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
         norm = float(np.linalg.norm(matrix)) or 1.0
-    terms = [np.eye(size)]
+    scaled = matrix / norm
+    terms, of_forms = [np.eye(size)], [np.frombuffer(forms).reshape(-1, size, size) * unit[:, None] * unit]
     for k in range(2, _TERMS + 1):
-        terms.append(terms[-1] @ (matrix / norm) / k)
-    return matrix / norm, unit, norm, np.array(terms)
+        terms.append(terms[-1] @ scaled / k)
+        product = of_forms[-1] @ scaled / k
+        of_forms.append(product + product.swapaxes(1, 2))
+    return scaled, unit, norm, np.array(terms), np.array(of_forms)
 
 
 def apply(matrix: Floats, rows: Floats) -> Floats:

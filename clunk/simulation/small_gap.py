@@ -19,7 +19,7 @@ from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline, build, explained
 from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import inputs_of, preload, regime_under, states
+from clunk.simulation.phases import inputs_of, integrals, preload, regime_under, states
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
@@ -86,7 +86,7 @@ class SmallGap(NamedTuple):
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
         regime = regime_under(system, rest.regime, after)
-        state = states(regime, rest.x, step, time.size)
+        state = states(regime, rest.x, next(integrals(regime.rates, np.array([step])))[0], time.size)
         across = torque_across(driveline, driveline_at(system, None), regime.flow, 0)[0]
         torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time

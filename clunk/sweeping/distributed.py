@@ -28,7 +28,6 @@ from clunk.sweeping.machine import available_cores, cpu_model, versions
 from clunk.sweeping.progress import note
 
 _CONNECTING = 4.0  # s
-_WAITING = "waiting for a worker of {} …"
 _ASKING = 1.0  # s between two looks at the number of threads
 _LOGS = ("distributed", "distributed.client", "tornado.application")  # silent: errors are sentences here
 _LOCAL: dict[str, Any] = {
@@ -55,7 +54,7 @@ class Cluster(Executor):
         self._address = address
         self._workers = workers or available_cores()
         self._sent: tuple[Grid, Any] | None = None  # the latest grid, and the task that brings it to the workers
-        self._threads, self._asked = 0, -_ASKING
+        self._threads, self._asked = 1, -_ASKING
 
     def __enter__(self) -> Self:
         scheduler: Any = self._address
@@ -68,9 +67,6 @@ class Cluster(Executor):
                     scheduler = opened.enter_context(LocalCluster(n_workers=self._workers, **_LOCAL))
                 client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
                 self._client = opened.enter_context(client)
-                if not self._client.nthreads():
-                    note(_WAITING.format(self._address), True)
-                    self._client.wait_for_workers(1)
             except Exception as error:  # any: the address may be of another service, or of none
                 raise EngineError(
                     f"No scheduler answers at {self._address} ({reason(error)}): start one with 'dask scheduler'."
@@ -90,7 +86,7 @@ class Cluster(Executor):
             try:
                 threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
                 if self._threads and not threads:
-                    note(_WAITING.format(self._address), True)
+                    note(f"waiting for a worker of {self._address} …", True)
                 self._threads = threads
             except Exception as error:  # depends on the layer that notices first that the scheduler has gone
                 raise self.explained(CancelledError()) from error
