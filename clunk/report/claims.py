@@ -51,7 +51,7 @@ class Claim(Record):
     report: str = told("the report")
     ours: str = told("clunk", key="clunk")
     shown: bool = told()
-    known: Verdict = told("known")
+    known: Verdict = told()
 
     @property
     @tells("verdict")
