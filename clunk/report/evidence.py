@@ -66,7 +66,7 @@ def run_maps(coarsen: int = 1, workers: int | None = None, progress: bool | Prog
 
 
 def _run(ratio: float, contact: str) -> Trajectory:
-    text = f'title = "σr = {ratio:g}, φθ = {NOMINAL_BACKLASH:g}°"\n{_DRIVELINE}'
+    text = f'title = "The nominal driveline"\n{_DRIVELINE}'
     overrides = [f"load.ratio={ratio!r}", f"lash.backlash_deg={NOMINAL_BACKLASH!r}", f'lash.contact.model="{contact}"']
     return simulate(study_from_text(text, source="the nominal config", overrides=overrides))
 
