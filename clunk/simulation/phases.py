@@ -21,7 +21,7 @@ from clunk.study.arrays import Floats, Integers
 
 _TERMS = 18  # of the power series, up to a norm of 1/2: the next one, of a form, is 1/19! = 8e-18
 _NO_FORMS = np.zeros(0)
-_AT_ONCE = 512  # times: enough that each costs little more than its sums, and few enough for any driveline's matrices
+_AT_ONCE = 1 << 20  # numbers of matrices over several times: 8 MB
 
 
 class Regime(NamedTuple):
@@ -144,9 +144,10 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
     integrals : (m, N, N) float64  [s]
     """
     scaled, unit, norm, terms, of_forms = _series(rates.tobytes(), forms.tobytes(), len(rates))
-    for k in range(0, lengths.size, _AT_ONCE):
-        reach = norm * lengths[k : k + _AT_ONCE]
-        doublings = np.maximum(np.frexp(2.0 * np.nan_to_num(reach, posinf=0.0))[1], 0)
+    count = max(1, _AT_ONCE // (rates.size + forms.size))
+    for k in range(0, lengths.size, count):
+        reach = norm * lengths[k : k + count]
+        doublings = np.maximum(np.frexp(np.nan_to_num(reach))[1] + 1, 0)
         powers = np.ldexp(reach, -doublings)[:, None] ** np.arange(1, _TERMS + 1)
         travel, grown = np.tensordot(powers, terms, 1), np.tensordot(powers, of_forms, 1)
         for n in range(doublings.max()):
