@@ -271,16 +271,18 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
 def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Difference]:
     """Those over the cells with equal labels, whose primary impacts correspond one to one."""
     for name in ("impact_time", "last_event_time", "severity", "impact_severity", "approach_velocity"):
-        counts = [each.primary_impacts.ravel() if REGIME_QUANTITIES[name].dimension else 1 for each in (a, b)]
+        values = []
+        for each in (a, b):
+            counts = each.primary_impacts.ravel() if REGIME_QUANTITIES[name].dimension else 1
+            compared = np.repeat(equal.ravel(), counts)
+            values.append(each.values(name).ravel()[compared])
         # the cell of each value; with equal labels both maps have as many values in it
-        cells = [np.repeat(np.arange(equal.size), count) for count in counts]
-        compared = [equal.ravel()[each] for each in cells]
-        one, other = (each.values(name).ravel()[rows] for each, rows in zip((a, b), compared, strict=True))
-        difference = np.abs(one - other)
+        cells = np.repeat(np.arange(equal.size), counts)[compared]
+        difference = np.abs(np.subtract(*values))
         if np.isnan(difference).all():
             continue
         k, largest = int(np.nanargmax(difference)), float(np.nanmax(np.abs(b.values(name))))
-        at = np.unravel_index(cells[1][compared[1]][k], b.shape)
+        at = np.unravel_index(cells[k], b.shape)
         yield Difference(
             quantity=name,
             difference=float(difference[k]),

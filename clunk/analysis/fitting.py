@@ -27,7 +27,7 @@ from clunk.results.maps import Results
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Positions, Records
 from clunk.study.axes import variable_of
-from clunk.study.document import FilePath, dotted
+from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value, spellings, with_draws
@@ -103,7 +103,7 @@ class Candidates:
     def run(self, numbers: Floats) -> Records:
         """Run candidates, (n, d), at all operating points; returns MATCH, (n, points)."""
         together = max(1, _TOGETHER // self.points.size)
-        parts = [np.zeros((0, len(self.points)), MATCH)]
+        parts = []
         for k in range(0, len(numbers), together):
             if self._progress is not None:
                 done = len(self.matches) + k
@@ -187,12 +187,12 @@ class Candidates:
 
 def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
     """Dotted keys of the measured columns. Raises ClunkError where the study has no such parameter."""
-    known = {variable_of(name): key for name, key in spellings(study.model_dump(exclude_none=True)).items()}
+    known = {variable_of(name): key for name, key in spellings(study).items()}
     for column in experiment.columns:
         if column not in known:
             hint = f"; did you mean {likely}?" if (likely := nearest(column, (*known, "impact_time_1"))) else "."
             raise ClunkError(f"The column {shorten(column)} of {experiment.name} is no parameter of this config{hint}")
-    return tuple(dotted(located(study, known[column])[0]) for column in experiment.columns)
+    return tuple(known[column] for column in experiment.columns)
 
 
 def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]:

@@ -146,16 +146,16 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
         raise ClunkError(f"{where}: {error}; labels are written like NI, SS(1), DS(1)SS(1) or D(1)+S(1).") from None
     values, impacts, std = [], defaultdict[str, dict[int, float]](dict), dict[str, float]()
     for column, text in texts.items():
-        if _is_measured(column) and not text:
+        words = _OF_IMPACTS.fullmatch(column)
+        if words and not text:
             continue
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not math.isfinite(value) or (_is_measured(column) and value <= 0.0):
-            above = " greater than 0" if _is_measured(column) else ""
+        if not math.isfinite(value) or (words and value <= 0.0):
+            above = " greater than 0" if words else ""
             raise ClunkError(f"{where}: {column} must be a finite number{above}, not {shorten(text)}.")
-        words = _OF_IMPACTS.fullmatch(column)
         if words is None:
             values.append(value)
             continue
@@ -203,7 +203,7 @@ class Point(Record):
     @tells("agrees")
     def agrees(self) -> bool | None:
         """Whether the labels are the same; None where there is no cell."""
-        return None if self.computed is None else self.counts and self.measured == self.computed
+        return None if self.computed is None else self.measured == self.computed
 
 
 @dataclass(frozen=True)

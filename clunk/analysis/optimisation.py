@@ -253,9 +253,11 @@ class Problem:
 
     def parameters(self, candidates: Floats) -> dict[str, Floats]:
         """Values of the free keys, (n,) each, by candidates, (n, parameters)."""
-        pairs = zip(self.optimize.parameters, candidates.T, strict=True)
-        own = {key: (column, nominal_value(self.study, key)) for free, column in pairs for key in free.keys}
-        return {key: np.where(np.isnan(column), value, column) for key, (column, value) in own.items()}
+        return {
+            key: np.where(np.isnan(column), nominal_value(self.study, key), column)
+            for free, column in zip(self.optimize.parameters, candidates.T, strict=True)
+            for key in free.keys
+        }
 
     def merit(self, outcomes: Outcomes) -> Floats:
         """Merit that the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""

@@ -6,6 +6,7 @@ interactions with the others. Both are estimated from n samples A and B and the 
 from B, n (d + 2) runs for d parameters (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.loads import PROFILES
 from clunk.study.models import lash_position
 from clunk.study.parameters import nominal_value
-from clunk.study.records import Record, tells, told
+from clunk.study.records import Record, tells, told, words
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
@@ -179,25 +180,21 @@ def sensitivity(
         ) from None
     failed = np.flatnonzero(runs.status != Status.OK)
     if failed.size:
-        where = ", ".join(f"{axis.parameter} = {axis.values[failed[0]]:.6g}" for axis in runs.coordinates)
         raise ClunkError(
             f"{failed.size:,} of {runs.status.size:,} runs failed, and the indices need all of them. The first is at "
-            f"{where}: {Status(runs.status[failed[0]]).sentence}."
+            f"{words(runs.place(failed[:1].tolist()))}: {Status(runs.status[failed[0]]).sentence}."
         )
     label = str(runs.label_map[-1])
-    indices = tuple(
-        _indices(each.named(label), runs, parameters, (n, pages), point.swept.sampling.seed) for each in quantities
-    )
+    indices = tuple(_indices(each.named(label), runs, parameters, point.swept.sampling.seed) for each in quantities)
     base = runs.label_map[:-1].reshape(n, pages)[:, :2]
-    labels, counts = np.unique(base, return_counts=True)
-    order = np.argsort(-counts, kind="stable")
+    labels = Counter(sorted(base.ravel().tolist())).most_common()  # those as frequent in the order of their texts
     return Sensitivity(
         study=point,
         parameters=parameters,
         samples=n,
-        runs=sample.size // d,
+        runs=n * pages,
         label=label,
-        labels={str(labels[k]): float(counts[k] / base.size) for k in order},
+        labels={text: count / base.size for text, count in labels},
         indices=indices,
     )
 
@@ -261,17 +258,15 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
     return first, total, ends[:, 0], ends[:, 1]
 
 
-def _indices(
-    quantity: Quantity, runs: Results, parameters: Sequence[str], shape: tuple[int, int], seed: int
-) -> Indices:
+def _indices(quantity: Quantity, runs: Results, parameters: Sequence[str], seed: int) -> Indices:
     """Sobol indices of a quantity.
 
-    runs : those of `saltelli_sample`, of this shape, (n, d + 2), and last the one without tolerances
+    runs : those of `saltelli_sample`, and last the one without tolerances
 
     Raises ClunkError where a run has none.
     """
     values = quantity.compared(runs)
-    pages = values[:-1].reshape(shape)
+    pages = values[:-1].reshape(-1, len(parameters) + 2)
     if undefined := np.count_nonzero(np.isnan(pages)):
         why = WHY_UNDEFINED.get(quantity.name, "")
         raise ClunkError(f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs{why}.")

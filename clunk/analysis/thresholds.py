@@ -28,7 +28,6 @@ import numpy as np
 
 from clunk.analysis.search import (
     OFF_FAILURES,
-    POINT,
     TOLERANCE,
     PointRuns,
     Points,
@@ -235,10 +234,8 @@ def thresholds(
     drawn = drawn_numbers(study, tolerances)
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
     keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
-    points = np.zeros(design.cells * len(along_axis), POINT)
-    points["cell"], scanned = np.divmod(np.arange(points.size), len(along_axis))
-    points["value"] = along_axis.values[scanned]
-    with engine_of(None, workers) as engine, reporting(progress, points.size, study, what="runs") as report:
+    scanned = np.repeat(np.arange(design.cells), len(along_axis))
+    with engine_of(None, workers) as engine, reporting(progress, scanned.size, study, what="runs") as report:
         point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)
 
         def run(cells: Codes, values: Floats) -> Points:
@@ -250,7 +247,7 @@ def thresholds(
             runs["cell"], runs["value"] = cells, values
             return runs
 
-        points, _ = with_hidden(run(points["cell"], points["value"]), run, _HALVINGS)
+        points, _ = with_hidden(run(scanned, np.tile(along_axis.values, design.cells)), run, _HALVINGS)
         span = np.ptp(along_axis.values)
         low, high = narrow(points, run, _MOST, span)
     return Thresholds(
@@ -335,7 +332,7 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     if not thresholds.axes or thresholds.axes[0].parameter != DRAW:
         raise ClunkError("Quantiles are those of drawn drivelines: the config has no [[sweep.tolerances]].")
     check_quantiles(quantiles)
-    draws = len(thresholds.axes[0].values)
+    draws = len(thresholds.axes[0])
     cells = thresholds.lowest.size // draws
     needed = [math.ceil(quantile * draws - 1e-9) for quantile in quantiles]
     lowest, columns = [], []
@@ -345,8 +342,9 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
         # number of draws with each outcome, the last of failed runs, in each interval between any draw's thresholds
         counts = np.zeros((at.size + 1, len(thresholds.words) + 1), np.int64)
         np.add.at(counts[0], thresholds.lowest[cell::cells], 1)
-        counts[np.arange(at.size) + 1, thresholds.above[at]] += 1
-        counts[np.arange(at.size) + 1, thresholds.below[at]] -= 1
+        following = np.arange(1, at.size + 1)
+        counts[following, thresholds.above[at]] += 1
+        counts[following, thresholds.below[at]] -= 1
         counts = counts.cumsum(axis=0)
         is_last = np.diff(thresholds.value[at], append=np.inf) > 0.0  # of the draws that change at the same value
         at, counts = at[is_last], counts[np.append(True, is_last)]

@@ -102,7 +102,7 @@ class Map(Design, ABC):
     @property
     def lash_names(self) -> tuple[str, ...]:
         """The names of the lashes, also of an only one."""
-        return self.lashes or (self.setting("lash.name") or lash_name(0, None),)
+        return self.lashes or (lash_name(0, self.setting("lash.name")),)
 
     @property
     def tables(self) -> dict[str, Any]:
@@ -223,8 +223,8 @@ class Map(Design, ABC):
 
     def _part(self, index: tuple[slice | int, ...]) -> Self:
         """The slice at these positions, without the axes of a single one; of a whole map with its boundaries."""
-        kept = [(axis, places) for axis, places in zip(self.axes, index, strict=True) if isinstance(places, slice)]
-        axes = tuple(axis.part(places) for axis, places in kept)
+        pairs = zip(self.axes, index, strict=True)
+        axes = tuple(axis.part(places) for axis, places in pairs if isinstance(places, slice))
         arrays = {
             name: np.ascontiguousarray(self.arrays[name][index])
             for name, each in self.quantities.items()
@@ -458,7 +458,7 @@ class ToleranceMap(Map):
     @property
     def draws(self) -> int:
         """Size of the sample, N."""
-        return len(self.sample[0].values)
+        return len(self.sample[0])
 
     @cached_property
     def runs(self) -> Counts:
@@ -492,8 +492,7 @@ class ToleranceMap(Map):
     def shares(self) -> dict[str, float]:
         """Share of each label in all runs; last that of ``failed``."""
         total = self.runs.reshape(-1, self.runs.shape[-1]).sum(axis=0, dtype=np.int64)
-        names = (*self.labels, FAILED)
-        return {name: int(count) / int(total.sum()) for name, count in zip(names, total, strict=True)}
+        return dict(zip((*self.labels, FAILED), (total / total.sum()).tolist(), strict=True))
 
     def label_table(self) -> list[dict[str, str]]:
         """See `Map.label_table`: the cells in which it is the most likely one, and its share of all runs."""

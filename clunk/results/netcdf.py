@@ -254,8 +254,7 @@ def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) 
         counts, most = earlier[COUNTED_BY[dims[-1]]].values, stored.shape[-1]
         each = (stored.chunks or stored.shape)[0]
         slabs = (slice(k, k + each) for k in range(0, len(counts), each))
-        parts = [stored[rows][np.arange(most) < counts[rows][..., None]] for rows in slabs]
-        values = np.concatenate(parts)
+        values = np.concatenate([stored[rows][np.arange(most) < counts[rows][..., None]] for rows in slabs])
     else:
         values = stored[...]
     if values.dtype.kind == "O":

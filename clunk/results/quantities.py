@@ -300,7 +300,7 @@ def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | No
 
 def measuring(study: Study, quantities: Iterable[Quantity]) -> Study:
     """The study whose runs are measured by what these quantities need, and by nothing else; none is flagged."""
-    names = {each.name if each.base is None else each.base.name for each in quantities}
+    names = {(each.base or each).name for each in quantities}
     impacts = study.impacts.but(quantities=tuple(name for name in OF_IMPACTS if name in names))
     measures = tuple(measure for measure in study.measures if measure.name in names)
     return study.but(impacts=impacts, measures=measures, solver=study.solver.but(margin_tolerance=0.0))

@@ -58,7 +58,7 @@ class ResultAxis:
         if self.words:
             return ", ".join(self.words)
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self.values)} values"
+        return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self)} values"
 
     def part(self, places: slice) -> "ResultAxis":
         """The axis at some of its places."""
@@ -101,7 +101,7 @@ class ResultAxis:
 def run_axis(along: Iterable[ResultAxis]) -> ResultAxis:
     """The dimension of runs along which these parameters change together."""
     along = tuple(along)
-    return ResultAxis(RUN, np.arange(1.0, len(along[0].values) + 1.0), RUN, "", "1", along=along)
+    return ResultAxis(RUN, np.arange(1.0, len(along[0]) + 1.0), RUN, "", "1", along=along)
 
 
 def lash_axis(names: Sequence[str]) -> ResultAxis:

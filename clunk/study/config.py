@@ -114,8 +114,7 @@ def study_from_text(
     findings += _load_trace(document, folder) if file not in assignments else []
     assigned: list[Place] = []
     for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
-        names = names_of(document)
-        resolved = place_of(dotted(place), names)
+        resolved = place_of(dotted(place), names_of(document))
         _displace(document, resolved or place, value, kept={*assignments, *assigned})
         if resolved is None or not assign(document, resolved, value):
             findings.append((place, "there is no such place; items of a list go by their number from 1, or by name"))
@@ -245,9 +244,9 @@ def _entries(document: Mapping[str, Any]) -> list[tuple[Place, Document]]:
 
 def _load_trace(document: Document, folder: FilePath) -> list[Finding]:
     """Put the times and torques of the load's file, if it has one alone, in its place."""
-    load = document.get("load")
+    load: Any = document.get("load")
     file = value_at(load, ("file",))
-    if not isinstance(load, dict) or not isinstance(file, str) or load.keys() & {"times", "torques"}:
+    if not isinstance(file, str) or load.keys() & {"times", "torques"}:
         return []
     try:
         load["times"], load["torques"] = read_trace(Path(folder, file))

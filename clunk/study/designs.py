@@ -18,7 +18,7 @@ from clunk.study.document import dotted
 from clunk.study.errors import Problem, report
 from clunk.study.keys import validated, with_tuples
 from clunk.study.models import NOT_OF_A_RUN
-from clunk.study.parameters import distinct, drawn_numbers, quantity, unswept_value
+from clunk.study.parameters import distinct, drawn_numbers, quantity, with_draws
 from clunk.study.rules import broken_rules
 from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Sweep
@@ -55,10 +55,9 @@ class Design:
 
     def columns(self, cells: Cells) -> dict[str, Floats]:
         """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
-        values: dict[str, Floats] = {}
-        for axis, positions in zip(self.axes, np.unravel_index(cells, self.shape) if self.axes else (), strict=True):
-            values |= {each.parameter: each.values[positions] for each in axis.parameters}
-        return values
+        positions = np.unravel_index(cells, self.shape) if self.axes else ()
+        pairs = zip(self.axes, positions, strict=True)
+        return {each.parameter: each.values[places] for axis, places in pairs for each in axis.parameters}
 
 
 def axis_of(parameter: str, values: Floats) -> ResultAxis:
@@ -81,9 +80,8 @@ def design_of(study: Study) -> Design:
     axes = tuple(axis_of(*each) for each in swept)
     if not sweep.samples:
         return Design(axes)
-    drawn = zip(sweep.samples, drawn_numbers(study, sweep.samples), strict=True)
-    sample = along_run((d.parameter, d.applied(numbers, unswept_value(study, d.parameter))) for d, numbers in drawn)
-    return Design((*axes, *sample.axes))
+    drawn = with_draws(study, {}, sweep.samples, drawn_numbers(study, sweep.samples))
+    return Design((*axes, *along_run(drawn.items()).axes))
 
 
 def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Design:

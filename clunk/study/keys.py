@@ -76,7 +76,11 @@ def keys() -> dict[Place, Key]:
 
 def key_at(place: Place) -> Key | None:
     """The key at a place, if there is one."""
-    return keys().get(tuple(ITEM if isinstance(step, int) else step for step in place))
+    return keys().get(_pattern_of(place))
+
+
+def _pattern_of(place: Place) -> Place:
+    return tuple(ITEM if isinstance(step, int) else step for step in place)
 
 
 def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
@@ -189,7 +193,7 @@ def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | N
             findings.append((place, _unknown_key(place, unknown[place])))
         elif place not in unknown.values() and not is_list_of_wrong:
             is_missing = detail["type"] == "missing"
-            findings.append((place, wrong_value(place, detail["input"], detail["msg"].lower(), is_missing=is_missing)))
+            findings.append((place, wrong_value(place, detail["input"], is_missing=is_missing)))
     return None, sorted(findings, key=lambda finding: finding[0] not in unknown)
 
 
@@ -210,10 +214,9 @@ def _place(location: Place) -> Place:
 
 def _likely_key(place: Place) -> Place | None:
     """The key that an unknown one was meant to be: a neighbour, or one that is more like it elsewhere."""
-    name, around = str(place[-1]), key_at(place[:-1])
-    if beside := nearest(name, around.children if around is not None else ()):
+    name, table = str(place[-1]), _pattern_of(place[:-1])
+    if beside := nearest(name, keys()[table].children):
         return (*place[:-1], beside)
-    table = tuple(ITEM if isinstance(step, int) else step for step in place[:-1])
     # first those below this table
     elsewhere = sorted((known for known in keys() if known), key=lambda known: known[: len(table)] != table)
     likely = nearest(name, {str(known[-1]) for known in elsewhere}, cutoff=0.77)
@@ -222,20 +225,18 @@ def _likely_key(place: Place) -> Place | None:
 
 def _unknown_key(place: Place, likely: Place | None) -> str:
     if likely is None:
-        around = key_at(place[:-1])
-        return f"unknown key; allowed here: {', '.join(around.children) if around is not None else 'none'}"
+        return f"unknown key; allowed here: {', '.join(keys()[_pattern_of(place[:-1])].children)}"
     if likely[:-1] == place[:-1]:
         return f"unknown key; did you mean {shorten(likely[-1])}?"
     table = dotted(tuple(step for step in likely[:-1] if step != ITEM))
     return f"unknown key; did you mean {shorten(likely[-1])} in {f'[[{table}]]' if ITEM in likely else f'[{table}]'}?"
 
 
-def wrong_value(place: Place, value: Any, fallback: str = "", *, is_missing: bool = False) -> str:
-    """Sentence on a value that a place does not allow, or that it lacks; fallback : what is allowed at no known key."""
+def wrong_value(place: Place, value: Any, *, is_missing: bool = False) -> str:
+    """Sentence on a value that the key at a place does not allow, or that it lacks."""
     if is_missing and place == ("driveline",):
         return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias, and the shafts that join them"
-    key = key_at(place)
-    must_be, choices = (fallback, ()) if key is None else (key.must_be, key.choices)
-    likely = nearest(value, choices) if isinstance(value, str) else None
+    key = keys()[_pattern_of(place)]
+    likely = nearest(value, key.choices) if isinstance(value, str) else None
     hint = f"; did you mean {shorten(likely)}?" if likely else ""
-    return f"{'missing' if is_missing else f'found {shorten(value)}'}; must be {must_be}{hint}"
+    return f"{'missing' if is_missing else f'found {shorten(value)}'}; must be {key.must_be}{hint}"

@@ -181,7 +181,10 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
         for row in reader:
             if row and _NUMBER.match(row[0].strip()):
                 lines.append(f"{path}, line {reader.line_num}")
-                points.append(_point(row, delimiter, lines[-1]))
+                points.append(_numbers(row))
+                if not points[-1]:
+                    found = shorten(delimiter.join(row))
+                    raise ConfigError(f"{lines[-1]}: found {found}; must be finite numbers, {_COLUMNS}.")
     except csv.Error as error:
         raise ConfigError(f"{path}, line {reader.line_num}: {error}.") from None
     if not 1 <= len(points) <= LONGEST_TABLE:
@@ -200,9 +203,3 @@ def _numbers(row: Sequence[str]) -> list[float]:
         if math.isfinite(time) and math.isfinite(torque):
             return [time, torque]
     return []
-
-
-def _point(row: Sequence[str], delimiter: str, where: str) -> list[float]:
-    if point := _numbers(row):
-        return point
-    raise ConfigError(f"{where}: found {shorten(delimiter.join(row))}; must be finite numbers, {_COLUMNS}.")

@@ -5,13 +5,13 @@ validator here looks at one table; the rules that tie tables to one another are 
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Field, PlainValidator, Tag, ValidationInfo, WithJsonSchema, model_validator
 
-from clunk.study.document import Place, items_of
+from clunk.study.document import Place, items_of, value_at
 from clunk.study.errors import ConfigError, shorten
 from clunk.study.loads import Load
 from clunk.study.sweeps import Draws, Sweep
@@ -187,7 +187,7 @@ class Lash(Table):
     @model_validator(mode="before")
     @classmethod
     def _convert(cls, lash: Any) -> Any:
-        number: Any = lash.get("radius") if isinstance(lash, dict) else None
+        number = value_at(lash, ("radius",))
         radius = number if is_number(number) and number > 0.0 else math.inf  # else it has an error of its own
         return converted(lash, "gap_mm", "backlash_deg", lambda gap: _degrees(gap, radius), 360.0)
 
@@ -256,8 +256,7 @@ def _numbered_part(value: Any, info: ValidationInfo) -> Any:
     """Number of an inertia or a shaft that is given by its name; else the value, which a rule of the config judges."""
     if info.data.get("quantity") == "acceleration":
         return numbered_inertia(value, info)
-    driveline = info.context if isinstance(info.context, Mapping) else {}
-    names = [shaft.get("name") for shaft in items_of(driveline.get("shafts")) if isinstance(shaft, dict)]
+    names = [value_at(shaft, ("name",)) for shaft in items_of(value_at(info.context, ("shafts",)))]
     return names.index(value) + 1 if isinstance(value, str) and value in names else value
 
 

@@ -100,9 +100,9 @@ def parameter_at(parameter: str, document: Any) -> tuple[Place, Key]:
     ConfigError
         Where there is no such parameter.
     """
-    place = place_of(parameter, names_of(document) if "[" in parameter else {})
-    key = None if place is None else key_at(place)
-    if place is not None and key is not None and key.quantity is not None and _is_there(place, document):
+    place = place_of(parameter, names_of(document) if "[" in parameter else {}) or ()  # a table, which has no quantity
+    key = key_at(place)
+    if key is not None and key.quantity is not None and _is_there(place, document):
         return place, key
     table, _, leaf = parameter.rpartition(".")
     meant, known = f"{table}.{OTHER_UNITS.get(leaf, leaf)}", parameters(document)
@@ -166,8 +166,12 @@ def drawn_numbers(config: Config, draws: Sequence[Draw]) -> list[Floats]:
     """Numbers that the sweep's sampling draws for each of these, (count,) each: values, factors or offsets."""
     if not draws:
         return []
+    swept = {axis.parameter for axis in config.swept.axes}  # nothing is drawn around these
     points = zip(draws, config.swept.sampling.points(len(draws)).T, strict=True)
-    return [draw.quantiles(each, unswept_value(config, draw.parameter)) for draw, each in points]
+    return [
+        draw.quantiles(each, math.nan if draw.parameter in swept else nominal_value(config, draw.parameter))
+        for draw, each in points
+    ]
 
 
 def with_draws(
@@ -179,12 +183,6 @@ def with_draws(
         around = drawn.get(draw.parameter, nominal_value(config, draw.parameter))
         drawn[draw.parameter] = draw.applied(each, around)
     return drawn
-
-
-def unswept_value(config: Config, parameter: str) -> float:
-    """The nominal value of a parameter; NaN for one that has none, or is swept: nothing is drawn around it then."""
-    is_swept = any(axis.parameter == parameter for axis in config.swept.axes)
-    return math.nan if is_swept else nominal_value(config, parameter)
 
 
 def nominal_value(config: Config, parameter: str) -> float:

@@ -18,7 +18,7 @@ from clunk.study.errors import ConfigError, listing, shorten
 from clunk.study.keys import validated
 from clunk.study.loads import PROFILES, TORQUES, Load, uses
 from clunk.study.models import OF_IMPACTS, Config, FreeParameter, Part, part_of
-from clunk.study.parameters import drawn_numbers, located, with_values
+from clunk.study.parameters import drawn_numbers, located, nominal_value, with_values
 from clunk.study.sweeps import Draw
 from clunk.study.tables import Finding, misnamed
 
@@ -304,19 +304,18 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
     columns = {axis.parameter: axis.grid for axis in sweep.axes}
     axes = [*enumerate(sweep.axes)]
     for group in [axes] if sweep.design == "zip" else ([each] for each in axes):
-        keys = {axis.parameter: (k, axis) for k, axis in group}
         yield [
             {
-                key: Given(columns[key][at], ("sweep", "axes", k, *axis.place_of(at)), key)
-                for key, (k, axis) in keys.items()
+                axis.parameter: Given(axis.grid[at], ("sweep", "axes", k, *axis.place_of(at)), axis.parameter)
+                for k, axis in group
             }
-            for at in _extremes(config, {key: columns[key] for key in keys})
+            for at in _extremes(config, {axis.parameter: axis.grid for _, axis in group})
         ]
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
     drawn = {}
     for k, (draw, numbers) in enumerate(zip(draws, drawn_numbers(config, draws), strict=True)):
         key = draw.parameter
-        around = columns.get(key, np.array([located(config, key)[2]]))
+        around = columns.get(key, np.array([nominal_value(config, key)]))
         columns[key] = draw.applied(numbers[:, None], np.array([around.min(), around.max()])).ravel()
         values = columns[key][_extremes(config, {key: columns[key]})].tolist()
         words = f"a draw makes {key} {{:.6g}} (low and high bound it)"
@@ -332,7 +331,7 @@ def _cases_of_searches(config: Config) -> Iterator[Case]:
     A measured key's factor or offset acts on measured values, which are not known here.
     """
     for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
-        nominal = located(config, prior.parameter)[2]
+        nominal = nominal_value(config, prior.parameter)
         ends = prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal) if not math.isnan(nominal) else np.empty(0)
         for value in ends.tolist():
             yield {

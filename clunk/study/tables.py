@@ -3,7 +3,7 @@
 import math
 import sys
 import unicodedata
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -20,7 +20,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from clunk.study.document import Place, dotted, items_of
+from clunk.study.document import Place, dotted, items_of, value_at
 from clunk.study.errors import listing, nearest, shorten
 
 Finding = tuple[Place, str]  # a place, and what is wrong there
@@ -98,7 +98,7 @@ def converted(table: Any, key: str, target: str, convert: Callable[[float], floa
 
 def _one_line(text: str) -> str:
     # control characters and broken Unicode can be written neither to a terminal nor to a results file
-    if not text.isprintable() and any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
+    if any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
         raise refusal(f"found {shorten(text)}; must be text on one line")
     return text
 
@@ -133,12 +133,11 @@ def position_of(value: Any, count: int, names: Sequence[str | None], noun: str) 
 
 def numbered_inertia(value: Any, info: ValidationInfo) -> Any:
     """Number of an inertia that is given by number or name; names and inertias are in the context of validation."""
-    driveline = info.context if isinstance(info.context, Mapping) else {}
-    inertias = items_of(driveline.get("inertias"))
+    inertias, names = (items_of(value_at(info.context, (key,))) for key in ("inertias", "names"))
     if type(value) is int and not inertias:  # these have an error of their own
         return value
     try:
-        return position_of(value, len(inertias), items_of(driveline.get("names")), "inertia") + 1
+        return position_of(value, len(inertias), names, "inertia") + 1
     except ValueError as error:
         raise refusal(str(error)) from None
 
