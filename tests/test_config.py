@@ -688,7 +688,11 @@ def test_axis_may_name_an_inertia_and_sweep_its_number():
         assert study_from_text(axis(f'parameter = "load.on"\nvalues = {values}')).sweep is not None
     named = study_from_text(axis('parameter = "load.on"\nvalues = ["ring", 2, "motor"]'))
     assert named.sweep.axes[0].values == (4.0, 2.0, 1.0)
-    assert "a finite number" in errors_of(axis('parameter = "load.on"\nvalues = ["wheel"]')).problems[0].message
+    (problem,) = errors_of(axis('parameter = "load.on"\nvalues = ["motor", "rimg"]')).problems
+    assert (problem.key, problem.message[:51]) == (
+        "sweep.axes[1].values[2]",
+        'there is no inertia "rimg"; did you mean "ring"? It',
+    )
     error = errors_of(axis('parameter = "load.on"\nstart = 1\nstop = 4\ncount = 3'))
     assert "there is no inertia 2.5; it must be a number" in error.problems[0].message
 
@@ -944,6 +948,7 @@ def test_keys_of_a_shaft_go_by_its_name():
         (["load.profile=ramp", "load.duration=150"], "the load takes 150 s to change"),
         (["load.profile=lag", "load.time_constant=80"], "the load takes 80 s to change"),
         (["load.profile=table", "load.times=[0,10,50]", "load.torques=[5,5,1]"], "the load takes 50 s to change"),
+        (["load.profile=table", "load.times=[0,1,3]", "load.torques=[5,6,1]"], "the load takes 3 s to change"),
     ],
 )
 def test_numbers_that_can_hardly_be_meant_are_warned_of(overrides, words):

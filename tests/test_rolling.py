@@ -305,3 +305,38 @@ def test_so_little_drag_that_steady_motion_has_lost_its_digits_is_refused(method
     for shafts in (plant.shafts, (staged, *plant.shafts[1:])):
         with pytest.raises(ClunkError, match="faster than 10⁷ rad/s"):
             simulate(study_of(replace(plant, shafts=shafts), method))
+
+
+GEARED = """
+[driveline]
+inertias = [0.035, 0.004, 0.06, 2.0, 190.0]
+shafts = [
+    {{ between = [3, 4], stiffness = 1.4e4, damping = 20.0 }},
+    {{ between = [4, 5], stiffness = 3.0e4, damping = 300.0 }},
+    {{ between = [5, "ground"], damping = 4.0 }},
+]
+[[lash]]
+between = [1, 2]
+ratio = {}
+backlash_deg = 0.5
+radius = 0.022
+contact = {{ model = "restitution", restitution = 0.4 }}
+[[lash]]
+between = [2, 3]
+ratio = {}
+backlash_deg = 0.5
+radius = 0.03
+contact = {{ model = "restitution", restitution = 0.3 }}
+[load]
+on = 1
+initial_torque = 120.0
+final_torque = -40.0
+"""
+
+
+@pytest.mark.parametrize("ratios", [(3.2, 3.0), (3.3, 3.0), (3.25, 2.9)])
+@pytest.mark.parametrize("method", METHODS)
+def test_ratios_of_locked_flanks_whose_product_is_rounded_leave_nothing_that_rolling_moves(method, ratios):
+    """The torques in contact do not change by rolling: once the twists are over, it is known that nothing follows."""
+    run = simulate(study_from_text(GEARED.format(*ratios), overrides=[f"solver.method={method}", "solver.step=1e-5"]))
+    assert run.end < 0.5  # s, where a run may last 2 s

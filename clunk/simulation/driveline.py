@@ -360,7 +360,7 @@ def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Ch
     )
     apart, together = apart[..., 0, : 2 * n, : 2 * n], together[..., 0, : 2 * n, : 2 * n]
     return system, [
-        chain._replace(expand=apart @ chain.expand, pick=chain.pick @ together, shift=apart @ chain.shift)
+        chain._replace(expand=product(apart, chain.expand), pick=chain.pick @ together, shift=apart @ chain.shift)
         for chain in chains
     ]
 

@@ -33,7 +33,7 @@ from clunk.study.loads import PROFILES, STEP_KEYS, TORQUES, read_trace, uses
 from clunk.study.parameters import Names, names_of, parameter_at, place_of
 from clunk.study.rules import VARIED, doubts
 from clunk.study.study import Study
-from clunk.study.tables import OTHER_UNITS, Finding, is_number
+from clunk.study.tables import OTHER_UNITS, Finding, is_number, position_of
 
 # Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
 _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (
@@ -291,7 +291,14 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
         if at[1] != "axes":
             continue
         if known.whole and items_of(entry.get("values")):
-            entry["values"] = [inertias.index(end) + 1 if end in inertias else end for end in entry["values"]]
+            numbers: list[Any] = []
+            for k, value in enumerate(entry["values"]):
+                try:
+                    is_name = isinstance(value, str)
+                    numbers.append(position_of(value, len(inertias), inertias, "inertia") + 1 if is_name else value)
+                except ValueError as error:
+                    findings.append(((*at, "values", k), str(error)))
+            entry["values"] = numbers or [1]  # the names that there are not are all that is wrong
         text = f"{dotted(at)} sweeps {parameter}: set the axis's values, or, of one run, choose one by --at"
         set_instead = instead if place[0] == "lash" else []  # of the other torques, the axis has an error of its own
         findings += [(each, text) for each in (place, *set_instead) if each in assigned]

@@ -6,7 +6,7 @@ draws, fit and optimisation give to keys, one key and two keys at a time.
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from itertools import chain, combinations, product
+from itertools import chain, combinations, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -347,7 +347,7 @@ def _cases_of_searches(config: Config) -> Iterator[Case]:
 
 LARGEST_RADIUS = 10.0  # m; the gears of mills and radio telescopes have some meters
 DEEPEST = 6.28  # rad, a whole turn, of flanks pressed together by the load: of gears it is some 1e-3
-LONGEST_CHANGE = 20.0  # times the run, that a load may take to change: less than 5 % of it are seen then
+LONGEST_CHANGE = 20.0  # times the run, that all loads but tables may take to change: less than 5 % of it are seen then
 
 
 def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
@@ -375,7 +375,8 @@ def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
             yield f"load.{key} is given, but a load of profile {shorten(load.profile)} has none; {others} would use it"
     times = {"load.duration", "load.time_constant", "load.times", "solver.end_time"}
     time, end = _time_of_change(load), config.solver.end_time
-    if time > LONGEST_CHANGE * end and not times & {key.partition("[")[0] for key in swept}:
+    longest = end if load.profile == "table" else LONGEST_CHANGE * end
+    if time > longest and not times & {key.partition("[")[0] for key in swept}:
         ends = f"a run ends after {end:g} s (solver.end_time)"
         yield f"the load takes {time:g} s to change, and {ends}; times are in seconds"
 
@@ -390,8 +391,8 @@ def _largest_torque(load: Load) -> float:
 
 
 def _time_of_change(load: Load) -> float:
-    """Time by which a load changes, or begins to where it is a table  [s]; 0 of a profile that has none."""
+    """Time until which a load changes  [s]; 0 of a profile that has none, and of a table that does not."""
     if load.profile == "table" and load.times and load.torques:
-        points = zip(load.times, load.torques, strict=True)
-        return next((time for time, torque in points if torque != load.torques[0]), 0.0)
+        changes = zip(load.times[1:], pairwise(load.torques), strict=True)
+        return max((time for time, (one, other) in changes if one != other), default=0.0)
     return {"ramp": load.duration, "smooth": load.duration, "lag": load.time_constant}.get(load.profile) or 0.0
