@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+import warnings
 
 import numpy as np
 import pytest
@@ -150,6 +151,23 @@ def test_a_trace_may_be_written_as_loggers_do(text, tmp_path):
     (tmp_path / "trace.csv").write_text(text, encoding="utf-8", newline="")
     study = study_from_text(config('profile = "table"\nfile = "trace.csv"'), folder=tmp_path)
     assert (study.load.times, study.load.torques) == ((0.0, 0.1, 0.2), (-6.0, -3.5, -1.0))
+
+
+@pytest.mark.parametrize(
+    ("heading", "told"),
+    [
+        ("time [ms],torque [Nm]", [' line 1: a column headed "time [ms]" is taken for time in s']),
+        ("t (s),speed [1/min],torque [Nm]", [' line 1: a column headed "speed [1/min]" is taken for torque in N m']),
+        ("time (s),torque of the engine (N·m) ,gear [-]", []),
+        ("bench (3 of 4)\ntime,torque (engine)", []),
+    ],
+)
+def test_a_trace_whose_headings_have_other_units_is_warned_of(heading, told, tmp_path):
+    (tmp_path / "trace.csv").write_text(f"{heading}\n0,-6\n1,-1\n", encoding="utf-8")
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        study_from_text(config('profile = "table"\nfile = "trace.csv"'), folder=tmp_path)
+    assert [str(each.message).partition(",")[2] for each in warned] == told
 
 
 def test_a_trace_can_be_changed_on_the_command_line(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import contextlib
 import csv
 import math
 import re
+import warnings
 from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -14,7 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from clunk.study.document import read_text
-from clunk.study.errors import ConfigError, listing, shorten
+from clunk.study.errors import ClunkWarning, ConfigError, listing, shorten
 from clunk.study.tables import Finding, Inertia, NotNegative, Positive, Quantity, Table, Text
 
 # The torques before and after the load step are given by both of the first, or by both of the second.
@@ -44,6 +45,8 @@ _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency
 _NEEDED |= {"durations": "s", "levels": "shares of the change"}
 _MOST_LEVELS = 1000
 _COLUMNS = "time (s) and torque (N m), separated by commas, semicolons or tabs"
+_MEANT = ("time in s", "s"), ("torque in N m", "nm")  # and its unit, without what is no letter
+_UNIT = re.compile(r"[\[(]([^\])]{1,5})[\])]\s*$")  # of a heading: short, and behind it
 _NUMBER = re.compile(r"[-+]?(\.?\d|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 
@@ -165,7 +168,8 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
     """Read times [s] and torques [N m] from the first two columns of a text file.
 
     Tabs separate the columns, where the first line of numbers reads so, else semicolons, else commas; of numbers that
-    commas do not separate, one may stand for the point. Lines that do not begin with a number are headings.
+    commas do not separate, one may stand for the point. Lines that do not begin with a number are headings, and a
+    ClunkWarning tells of another unit in their brackets.
 
     Raises
     ------
@@ -185,6 +189,12 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
                 if not points[-1]:
                     found = shorten(delimiter.join(row))
                     raise ConfigError(f"{lines[-1]}: found {found}; must be finite numbers, {_COLUMNS}.")
+                continue
+            for cell, (meant, unit) in zip(row if len(row) > 1 else (), _MEANT, strict=False):
+                headed = _UNIT.search(cell)
+                if headed and re.sub(r"\W", "", headed[1]).lower() != unit:
+                    text = f"{path}, line {reader.line_num}: a column headed {shorten(cell)} is taken for {meant}"
+                    warnings.warn(text, ClunkWarning, stacklevel=2)
     except csv.Error as error:
         raise ConfigError(f"{path}, line {reader.line_num}: {error}.") from None
     if not 1 <= len(points) <= LONGEST_TABLE:
