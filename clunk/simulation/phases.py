@@ -20,7 +20,7 @@ from clunk.core.tables import TORQUE
 from clunk.study.arrays import Floats, Integers
 
 _TERMS = 18  # of the power series, up to a norm of 1/2: the next one, of a form, is 1/19! = 8e-18
-_NO_FORMS = np.zeros(0)
+_NO_FORMS = np.zeros((0, 1, 1))
 _AT_ONCE = 1 << 20  # numbers of matrices over several times: 8 MB
 
 
@@ -143,13 +143,17 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
     travel : (N, N) float64  [s]
     integrals : (m, N, N) float64  [s]
     """
-    scaled, unit, norm, terms, of_forms = _series(rates.tobytes(), forms.tobytes(), len(rates))
+    scaled, unit, norm, terms = _series(rates.tobytes(), len(rates))
+    of_forms = [forms * unit[:, None] * unit]
+    for k in range(2, _TERMS + 1 if forms.size else 2):
+        product = of_forms[-1] @ scaled / k
+        of_forms.append(product + product.swapaxes(1, 2))
     count = max(1, _AT_ONCE // (rates.size + forms.size))
     for k in range(0, lengths.size, count):
         reach = norm * lengths[k : k + count]
         doublings = np.maximum(np.frexp(np.nan_to_num(reach))[1] + 1, 0)
         powers = np.ldexp(reach, -doublings)[:, None] ** np.arange(1, _TERMS + 1)
-        travel, grown = np.tensordot(powers, terms, 1), np.tensordot(powers, of_forms, 1)
+        travel, grown = np.tensordot(powers, terms, 1), np.tensordot(powers[:, : len(of_forms)], of_forms, 1)
         for n in range(doublings.max()):
             more = doublings > n
             half = travel[more]
@@ -160,8 +164,8 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
 
 
 @lru_cache(maxsize=64)  # a run comes back to its flows
-def _series(rates: bytes, forms: bytes, size: int) -> tuple[Floats, Floats, float, Floats, Floats]:
-    """A of a flow in units in which angles and velocities are of one size, these, its norm there, the terms of Ψ and G.
+def _series(rates: bytes, size: int) -> tuple[Floats, Floats, float, Floats]:
+    """A of a flow in units in which angles and velocities are of one size, these, its norm there, and the terms of Ψ.
 
     A, (size, size), is divided by its norm, which is about its largest |λ|; NaN where it is not a number.
     """
@@ -173,12 +177,10 @@ def _series(rates: bytes, forms: bytes, size: int) -> tuple[Floats, Floats, floa
             matrix, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
         norm = float(np.linalg.norm(matrix)) or 1.0
     scaled = matrix / norm
-    terms, of_forms = [np.eye(size)], [np.frombuffer(forms).reshape(-1, size, size) * unit[:, None] * unit]
+    terms = [np.eye(size)]
     for k in range(2, _TERMS + 1):
         terms.append(terms[-1] @ scaled / k)
-        product = of_forms[-1] @ scaled / k
-        of_forms.append(product + product.swapaxes(1, 2))
-    return scaled, unit, norm, np.array(terms), np.array(of_forms)
+    return scaled, unit, norm, np.array(terms)
 
 
 def apply(matrix: Floats, rows: Floats) -> Floats:

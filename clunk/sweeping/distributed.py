@@ -54,7 +54,7 @@ class Cluster(Executor):
         self._address = address
         self._workers = workers or available_cores()
         self._sent: tuple[Grid, Any] | None = None  # the latest grid, and the task that brings it to the workers
-        self._threads, self._asked = 1, -_ASKING
+        self._threads, self._asked = 1, -_ASKING  # as if there had been a worker: that there is none is said
 
     def __enter__(self) -> Self:
         scheduler: Any = self._address

@@ -178,7 +178,7 @@ class Parts:
             self._written = time.monotonic()
 
     def _refuse_other_sweeps(self, study: Study) -> None:
-        """Compare with the directory's manifest; one that cannot be read is removed, as parts identify themselves."""
+        """Compare with the directory's manifest; one that is damaged is removed, as parts identify themselves."""
         path = self.directory.path / "manifest.json"
         if not path.exists():
             return

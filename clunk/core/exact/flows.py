@@ -67,7 +67,7 @@ _TOO_SLOW = 1e-10
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _GROWTH = math.exp(_SHORTEST / 2.0)
 _FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
-_FILLED = 3  # fields of `Flows` that `_fill` leaves to others come first
+_FILLED = 3  # the first field of `Flows` that `_fill` fills: `build_flows` makes those before it of these
 _FAR = 2.0**40  # units of a displacement that nothing depends on
 
 
