@@ -9,7 +9,9 @@ import pytest
 from conftest import BOERE as PRESET, drawn, values
 from jsonschema import Draft202012Validator
 
-from clunk.simulation.load import load_step
+from clunk.core.runs import LEVEL
+from clunk.core.tables import TORQUE
+from clunk.simulation.load import run_load
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkWarning, ConfigError
 from clunk.study.keys import json_schema
@@ -55,9 +57,10 @@ def test_every_profile_is_read_and_written(profile):
 
 
 def test_a_table_takes_the_place_of_the_presets_torques():
-    load = study_from_text(config(TABLE)).load
-    assert (load.static_torque, load.ratio) == (None, None)
-    assert load_step(load) == (-6.0, -1.0)
+    study = study_from_text(config(TABLE))
+    assert (study.load.static_torque, study.load.ratio) == (None, None)
+    before, pieces = run_load(study)
+    assert (before[TORQUE], pieces[-1, LEVEL]) == (-6.0, -1.0)
 
 
 def test_keys_that_a_profile_does_not_use_make_no_difference_to_it():

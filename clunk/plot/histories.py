@@ -13,10 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from clunk.core.runs import LEVEL
+from clunk.core.tables import TORQUE
 from clunk.plot import style
 from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, MINUS, Look, PlotError, symbol_text
 from clunk.simulation.history import History, Impact
-from clunk.simulation.load import load_step
+from clunk.simulation.load import run_load
 from clunk.simulation.small_gap import SmallGap
 from clunk.study.errors import listing
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
@@ -130,7 +132,8 @@ def _looks(runs: Runs) -> Looks:
 def _case(run: History) -> str:
     """The load and the gap of a run, in symbols."""
     load = run.study.load
-    before, after = load_step(load)
+    inputs, pieces = run_load(run.study)
+    before, after = inputs[TORQUE], pieces[-1, LEVEL]
     text = f"T = {before:g} → {after:g} N m"
     if load.ratio is not None:
         text = f"{symbol_text('σr')} = {load.ratio:g}"
@@ -215,9 +218,8 @@ def _touch_look(colour: Any, *, primary: bool, size: float = 6.5) -> Look:
 
 def draw_acceleration(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Acceleration of the watched inertia, and of a single run the peak-to-peak values that Q is made of."""
-    thin = {"linewidth": 1.0} | ({"linestyle": "solid"} if len(runs) == 1 else {})
     for run in runs:
-        ax.plot(run.time, run.acceleration[:, run.watched - 1], zorder=3, **looks[run.name] | thin)
+        ax.plot(run.time, run.acceleration[:, run.watched - 1], zorder=3, **looks[run.name] | {"linewidth": 1.0})
     watched = {run.watched for run in runs}
     index = _index(watched.pop()) if len(watched) == 1 else ""
     ax.set_ylabel("Acceleration\n" + rf"$\mathregular{{\ddot{{\theta}}}}${index} [rad/s²]")

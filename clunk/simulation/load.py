@@ -141,12 +141,6 @@ def wave_rates(load: Load, varied: Mapping[Place, Floats]) -> Floats | None:
     return np.stack([np.stack([-decay, swing], axis=-1), np.stack([-swing, -decay], axis=-1)], axis=-2)
 
 
-def load_step(load: Load) -> tuple[float, float]:
-    """Torque before the load step, and the torque that the load goes to, or swings about  [N m]."""
-    before, pieces = loads_of(load, 1)
-    return float(before[0]), float(pieces[0, -1, LEVEL])
-
-
 def cases_of(study: Study, values: Mapping[str, Numbers] = MappingProxyType({}), count: int = 1) -> Cases:
     """Torques and gaps of `count` runs with these values of parameters, (count,) each or one for all."""
     swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}

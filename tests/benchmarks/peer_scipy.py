@@ -4,8 +4,9 @@ import events_table
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from clunk.core.runs import LEVEL
 from clunk.simulation.driveline import Driveline
-from clunk.simulation.load import load_step
+from clunk.simulation.load import run_load
 
 TOUCH, SEPARATION = 1, 2
 MOST_EVENTS = 400  # a run that has more has gone astray
@@ -28,7 +29,7 @@ def make(**options):
         return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / inertia[:, None], -damping / inertia[:, None]]])
 
     opened, closed = rates(False), rates(True)
-    drive = np.concatenate([np.zeros(n), driveline.load * load_step(study.load)[1] / inertia])
+    drive = np.concatenate([np.zeros(n), driveline.load * run_load(study)[1][-1, LEVEL] / inertia])
     push = np.concatenate([np.zeros(n), driveline.contact_stiffnesses[0] * lash / inertia])
 
     def run(cell):
