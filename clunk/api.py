@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -263,7 +262,7 @@ def _run(
     study: Study,
     output: FilePath | None,
     progress: bool | Progress,
-    engine: AbstractContextManager[Executor],
+    engine: Executor,
     *,
     addition: Callable[[AnyMap], AnyMap] | None = None,
     restart: bool,

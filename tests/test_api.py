@@ -110,7 +110,29 @@ def test_a_sweep_into_a_file_of_something_else_leaves_it_alone(small, here):
     with pytest.raises(clunk.ClunkError, match=re.escape("must end in .h5")):
         clunk.sweep(small, "small.csv")
     clunk.sweep(other, "small.h5", force=True)
-    assert clunk.read_results("small.h5").config_digest == digest(other)
+    found = clunk.read_results("small.h5")
+    assert found.config_digest == digest(other)
+    clunk.write_results("slice.h5", found.at({found.axes[0].parameter: found.axes[0].values[0]}))
+    with pytest.raises(clunk.ClunkError, match="a part of its map"):
+        clunk.sweep(other, "slice.h5")
+
+
+@pytest.mark.parametrize("workers", [0, -1])
+def test_there_is_no_work_without_workers(small, workers):
+    keys = ["load.ratio"]
+    for work in (
+        lambda: clunk.sweep(small, workers=workers),
+        lambda: clunk.Runner(small, keys, workers=workers),
+        lambda: clunk.verify(small, workers=workers),
+        lambda: clunk.thresholds(small, along="load.ratio", workers=workers),
+    ):
+        with pytest.raises(clunk.ClunkError, match="at least one worker"):
+            work()
+
+
+def test_a_lash_that_there_is_not_is_told_also_where_no_lines_are_traced(small):
+    with pytest.raises(clunk.ConfigError, match="nope"):
+        clunk.sweep(small, boundaries=False, lash="nope")
 
 
 # --- Datasets

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 
@@ -30,8 +31,9 @@ from clunk.explorer.subject import Subject
 from clunk.explorer.workbench import Workbench
 from clunk.plot.style import PlotError, colour_of
 from clunk.study.config import study_from_text
-from clunk.study.designs import of_one_cell
+from clunk.study.designs import Design, with_cells
 from clunk.study.parameters import located
+from clunk.sweeping.sweep import sweep as sweep_cells
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 AXES = values("lash.backlash_deg", [2.0, 6.0, 10.0]) + axis("load.ratio", 0.0, 10.0, 5)
@@ -144,8 +146,8 @@ class TestSubject:
         again = sweep(study_from_text(Subject(results).config({"run": 3.0}, {})))
         assert np.array_equal(again.severity, results.severity)
 
-    def test_of_one_cell_there_is_a_run_and_no_map(self):
-        alone = Subject(sweep(of_one_cell(study_from_text(NOMINAL + EXACT))))
+    def test_with_cells_there_is_a_run_and_no_map(self):
+        alone = Subject(sweep(with_cells(study_from_text(NOMINAL + EXACT))))
         assert (alone.plane, alone.slices, alone.swept) == ((), (), ())
         numbers = {"load.ratio": 9.0}
         again = simulate(study_from_text(alone.config({}, numbers)))
@@ -178,6 +180,18 @@ class TestPictures:
         assert colours[colours.shape[0] // 2, colours.shape[1] // 2] == colour_of(label)
         assert all(escape(label) in changes["legend"]["text"] for label in subject.results.label_map.ravel())
 
+    def test_a_first_picture_of_few_values_lies_on_the_logarithmic_axis_of_all(self):
+        ratio = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0.5\nstop = 50.0\ncount = 50\nscale = "log"\n'
+        results = sweep(study_from_text(NOMINAL + EXACT + ratio + axis("lash.backlash_deg", 0.0, 20.0, 21)))
+        few = tuple(replace(each, values=each.few(31)) for each in results.axes)
+        assert results.axes[0].is_geometric
+        assert not few[0].is_geometric  # spaced by 1 and 2
+        coarse = sweep_cells(study_from_text(results.config), Design(few))
+        assert coarse.shape == (31, 21)
+        page = MapFigure(Subject(results).plane)
+        whole, first = (pixels(page.changes(each, "regimes")) for each in (results, coarse))
+        assert np.mean(whole == first) > 0.85
+
     def test_where_every_cell_has_failed_the_legend_says_so_and_no_quantity_is_drawn(self):
         of_one = '[solver]\nmethod = "exact"\nmax_events = 1\n' + axis("load.ratio", 2.0, 10.0, 5)
         failed = sweep(study_from_text(NOMINAL + of_one))
@@ -197,7 +211,7 @@ class TestRuns:
         monkeypatch.setattr(Message, "send", lambda _, changes: sent.append(changes))
         monkeypatch.setattr(Document, "add_next_tick_callback", lambda _, change: waiting.put(change))
         study = study_from_text(NOMINAL + EXACT + axes)
-        workbench = Workbench(document := Document(), Subject(sweep(study if axes else of_one_cell(study))), {})
+        workbench = Workbench(document := Document(), Subject(sweep(study if axes else with_cells(study))), {})
         try:
             document.callbacks.trigger_event(DocumentReady())
             while not any("curves" in changes for changes in sent):

@@ -272,6 +272,17 @@ def test_an_offset_moves_each_value_of_a_logarithmic_axis(measured: Experiment) 
     assert moved == pytest.approx(np.array([1.0, 10.0, 100.0]) + fitted.estimate[0])
 
 
+def test_an_offset_below_zero_is_refused_on_an_axis_and_the_maps_end_before_it(tmp_path: Path) -> None:
+    (tmp_path / "rig.csv").write_text(CSV)
+    offset = PRIOR.format("lash.backlash_deg", "offset", -2.9, -2.8)
+    fitted = clunk.fit(
+        study_from_text(RIG + AXES.format("lash.backlash_deg", [0.0, 6.0]) + SMALL + offset), tmp_path / "rig.csv"
+    )
+    with pytest.raises(ConfigError, match=r"lash\.backlash_deg: found -2\.8"):
+        fitted_study(fitted)
+    assert clunk.draw(fitted).axes[0].get_ylim()[0] == 3.0
+
+
 def test_the_same_seed_gives_the_same_fit_which_is_drawn_on_two_maps(tmp_path: Path) -> None:
     (tmp_path / "rig.csv").write_text(CSV)
     first, again = (clunk.fit(study_of(GAP), tmp_path / "rig.csv") for _ in range(2))

@@ -6,20 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from test_store import BACKLASH, RATIO, example
 
 import clunk
 from clunk.analysis.thresholds import thresholds
 from clunk.cli import cli
 from clunk.cli.simulate import run_record
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
-from clunk.results.quantities import OF_RUNS, REGIME_QUANTITIES
+from clunk.results.quantities import OF_RUNS, REGIME_QUANTITIES, quantity_of
 from clunk.results.store import read_results, write_results
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError, ConfigError
-from clunk.study.study import replace_values
+from clunk.study.study import digest, replace_values
 from clunk.sweeping.sweep import sweep
 
 CLOSE = 1e-6  # relative: three times what lies between two samples
@@ -314,6 +315,24 @@ def test_what_a_slow_touch_pulls_through_a_locked_lash_is_taken_from_its_impulse
     impulse = abs(np.diff(momentum[:: len(momentum) - 1]) - of_load)
     ((found,), *_) = measured(run)[1].values()
     assert found == pytest.approx(impulse.item(), rel=1e-9)
+
+
+def test_a_measure_may_have_the_name_of_a_short_word():
+    results = sweep(study_from_text(config("shuffle").replace('"shuffle"', '"ds"'), "measured", [*SHORT, MAP[0]]))
+    assert quantity_of("ds", results).name == "ds"
+    assert quantity_of("DS=1", results).base.name == "double_sided"
+    assert quantity_of("DS", example(RATIO, BACKLASH)).name == "double_sided"
+
+
+def test_where_a_lash_is_measured_its_name_makes_another_study():
+    def digest_of(names, *overrides):
+        named = [f"lash[{k}].name='{name}'" for k, name in enumerate(names, 1)]
+        return digest(load_study("configs/two_lashes.toml", [*named, *overrides]))
+
+    twist = "measures=[{name='wound', quantity='twist', of='first', reduce='largest'}]"
+    assert digest_of(("first", "second")) == digest_of(("second", "first"))
+    assert digest_of(("first", "second"), twist) != digest_of(("second", "first"), twist)
+    assert digest_of(("first", "second"), twist) == digest_of(("first", "third"), twist)
 
 
 def test_each_of_two_lashes_has_its_impacts_and_together_they_take_what_the_balance_says():

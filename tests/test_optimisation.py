@@ -216,6 +216,18 @@ high = 1.3
 """
 
 
+def test_values_with_which_no_run_begins_are_no_optimum(brief):
+    """Without a torque in the end and before, no flank presses."""
+    free = '[optimize]\nminimize = "load.static_torque"\nparameters = [{parameter = "load.static_torque", '
+    text = (
+        f'driveline.preset = "boere-2008"\nsolver.method = "exact"\nload.ratio = 1.0\n{free}low = 0.0, high = 1.0}}]\n'
+    )
+    best = optimize(study_from_text(text))
+    assert best.holds
+    assert 0.0 < best.value < 1e-6
+    assert clunk.simulate(best.study).label == "NI"
+
+
 def test_a_robust_optimum_holds_in_the_share_of_the_drivelines_and_costs_time(brief):
     text = DAMPED_RAMP.format(minimize='"load.duration"', subject_to='["severity<=2000"]', longest=0.6)
     study = study_from_text(text.replace("[optimize]", "[optimize]\nrobust = 0.75", 1) + TOLERANCES)
@@ -236,10 +248,10 @@ def test_under_tolerances_numbers_are_told_as_the_needed_share_has_them():
     study = study_from_text(text.replace("[optimize]", "[optimize]\nrobust = 0.5", 1) + TOLERANCES)
     problem, candidates = Problem(study, shown="approach_velocity"), np.array([[0.1, 100.0]])
     outcomes, runs = problem(candidates), np.sort(problem._run(candidates)[0], axis=0)
-    assert np.all(runs[7, 1:] < runs[15, 1:])
+    assert np.all(runs[7, 2:] < runs[15, 2:])
     assert list(outcomes.quantities) == ["severity", "approach_velocity"]
-    assert outcomes.quantities["approach_velocity"] == runs[7, 1]
-    assert outcomes.quantities["severity"] == outcomes.value == runs[7, 2]
+    assert outcomes.quantities["approach_velocity"] == runs[7, 2]
+    assert outcomes.quantities["severity"] == outcomes.value == runs[7, 3]
 
 
 def test_what_is_minimised_has_one_name_however_it_is_written(brief):

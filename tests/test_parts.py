@@ -18,6 +18,7 @@ import clunk
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
 from clunk.sweeping import engines, parts as keeping, sweep as sweeping
+from clunk.sweeping.engines import Threads
 from clunk.sweeping.machine import versions
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.sweep import Job, sweep
@@ -66,15 +67,15 @@ def stopped(study, target, after, error=KeyboardInterrupt, *, engine=None):
     with WorkingDirectory(target) as directory:
         job = Job(study, directory=directory)
         with pytest.raises(error):
-            job.run(engine, workers=2, progress=progress)  # their number decides the tiles
+            job.run(engine or Threads(2), progress=progress)  # their number decides the tiles
         return job.parts.kept
 
 
-def resumed(study, target, **options):
+def resumed(study, target, engine=None):
     """Go on, and the parts; the directory is removed."""
     with WorkingDirectory(target) as directory:
         job = Job(study, directory=directory)
-        results = job.run(**options)
+        results = job.run(engine)
         directory.remove()
     assert not directory.path.exists()
     return results, job.parts
@@ -88,7 +89,7 @@ def test_a_stopped_sweep_goes_on_where_it_was_and_ends_with_the_same_bits(study,
     second = stopped(study, target, 150, error)
     foreign.unlink()
     assert 60 <= first < second < 289
-    results, parts = resumed(study, target, workers=1)
+    results, parts = resumed(study, target, Threads(1))
     assert parts.taken_up == second
     assert parts.discarded == 0
     assert equal(results, whole)

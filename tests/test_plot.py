@@ -503,3 +503,37 @@ def test_a_users_settings_neither_change_the_figure_nor_are_changed(tmp_path: Pa
         plot.save(plot.draw(results, "regimes"), tmp_path / "two.png")
         assert dict(matplotlib.rcParams) == before
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def of_two_frequencies(first: float, second: float, *, fails: bool = False) -> Results:
+    """Maps of two frequencies with so many touches and so large a severity in each cell; the first may have failed."""
+    axis = ResultAxis("load.frequency", np.array([3.0, 4.0]), "frequency", "f", "Hz")
+    few = [replace(each, values=each.values[:4]) for each in (RATIO, BACKLASH)]
+    values = np.tile(np.array([first, second])[:, None, None], (1, 4, 4))
+    sequence = np.zeros(values.shape, np.int16)
+    sequence[0] -= fails
+    results = make((axis, *few), ("SS(1)",), sequence, np.where(sequence < 0, np.nan, values))
+    return with_arrays(results, touches=values.astype(np.int32))
+
+
+def test_a_panel_of_one_answer_has_its_colour_and_units_are_no_symbols() -> None:
+    results = of_two_frequencies(3.0, 30.0)
+    figure = plot.draw(results, "touches<=16", facets=["load.frequency"])
+    panels = figure.subfigs[0].axes
+    assert [panel.get_title(loc="left") for panel in panels] == [f"f = {f} Hz" for f in (3, 4)]
+    (pale,), (deep,) = ({*map(tuple, colours_of(results, frequency))} for frequency in (4.0, 3.0))  # no, yes
+    mixed = with_arrays(results, touches=np.where(np.arange(4) < 2, 3, 30).astype(np.int32) + 0 * results.touches)
+    assert {*map(tuple, colours_of(mixed, 4.0))} == {pale, deep}
+
+
+def colours_of(results: Results, frequency: float) -> np.ndarray:
+    """Colours of the cells of one panel, by whether there are at most 16 touches."""
+    part = results.at({"load.frequency": frequency})
+    return Layers.of(part, View.of_plane(part), "touches<=16").region_colours.reshape(-1, 3)
+
+
+def test_a_panel_without_any_value_is_grey_beside_others() -> None:
+    figure = plot.draw(of_two_frequencies(3.0, 30.0, fails=True), "severity", facets=["load.frequency"])
+    assert [panel.get_title(loc="left") for panel in figure.subfigs[0].axes[:2]] == [f"f = {f} Hz" for f in (3, 4)]
+    with pytest.raises(plot.PlotError, match="all runs have failed"):
+        plot.draw(of_two_frequencies(3.0, 3.0, fails=True).at({"load.frequency": 3.0}), "severity")

@@ -293,6 +293,11 @@ def test_pictures_have_a_curve_for_each_threshold():
     result = thresholds(study(few, DURATION, of=RAMP), along="load.duration", of="double_sided")
     (ax,) = threshold_figure(result).axes
     assert sorted({y for line in ax.lines for y in line.get_ydata()}) == sorted(result.value.tolist())
+    unsorted = '[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [6.0, 4.0, 8.0]\n'
+    (ax,) = threshold_figure(
+        thresholds(study(unsorted, DURATION, of=RAMP), along="load.duration", of="double_sided")
+    ).axes
+    assert ax.get_xlim() == (4.0, 8.0)
     gaps = '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nvalues = [4.0, 6.0]\n'
     family = thresholds(study(gaps, few, DURATION, of=RAMP), along="load.duration", of="double_sided")
     with pytest.raises(PlotError, match=r"one value of lash\.backlash_deg and load\.ratio"):

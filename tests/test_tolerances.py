@@ -30,7 +30,7 @@ from clunk.study.study import replace_values, to_toml
 from clunk.sweeping import parts as keeping, tolerances
 from clunk.sweeping.engines import run_tiles
 from clunk.sweeping.parts import PartsError, WorkingDirectory
-from clunk.sweeping.sweep import Job, sweep
+from clunk.sweeping.sweep import Job, engine_of, sweep
 
 DRIVELINE = f'title = "Small"\n{EXACT}'
 AXES = axis("load.ratio", 0.0, 10.0, 21) + axis("lash.backlash_deg", 0.5, 18.5, 7)
@@ -281,7 +281,7 @@ class TestFile:
 def test_the_first_tile_has_one_cell_as_nobody_knows_how_long_its_draws_take():
     """An interrupt within the first seconds of a slow map finds cells that are done."""
     grid = tolerances.SampleGrid(study(tolerance("lash.contact.stiffness")))
-    tiles = run_tiles(grid, np.arange(grid.design.cells), workers=1)
+    tiles = run_tiles(grid, np.arange(grid.design.cells), engine_of(None, 1))
     assert next(tiles).cells.size == 1
     assert grid.pace[0] < 1.0
     tiles.close()

@@ -76,6 +76,16 @@ def test_verify_prints_what_compare_does_within_80_columns_for_maps_and_single_r
     assert max(map(len, out.splitlines())) <= 80
 
 
+def test_a_study_of_tolerances_alone_is_verified_by_its_run():
+    drawn = '[[sweep.tolerances]]\nparameter = "load.ratio"\ndistribution = "uniform"\nlow = 4.0\nhigh = 6.0\n'
+    assert verify(study(drawn)).cells == 1
+
+
+def test_a_step_that_is_too_coarse_at_an_end_of_an_axis_is_warned_of(verify_command):
+    _, _, err = verify_command(NOMINAL + values("lash.contact.stiffness", [4e5, 4e7]) + values("load.ratio", [5.0]))
+    assert "rebounds are lost and labels wrong" in err
+
+
 def test_verify_exits_4_and_names_the_cells_where_labels_differ_also_in_json(verify_command):
     code, out, err = verify_command(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE)
     assert code == 4

@@ -60,6 +60,7 @@ def is_traced(study: Study, asked: bool | None, lash: str | int | None) -> bool:
     It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises
     ClunkError where they are asked for and the map has none, and ConfigError where it has no such lash.
     """
+    lash_position(lash, study.lash_names)
     if asked is None:
         asked = study.swept.boundaries
     if asked is False:
@@ -70,7 +71,6 @@ def is_traced(study: Study, asked: bool | None, lash: str | int | None) -> bool:
         if asked:
             raise
         return False
-    lash_position(lash, study.lash_names)
     return True
 
 

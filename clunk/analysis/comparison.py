@@ -20,7 +20,7 @@ from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.results.store import dataset_of
 from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import nominal, of_one_cell
+from clunk.study.designs import with_cells
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.records import SENTENCE, Record, counted, percent, tells, told
@@ -239,13 +239,9 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
     >>> methods.cells, methods.differing
     (441, 0)
     """
-    grid = of_one_cell(study) if study.sweep is None else nominal(study)
-    return compare(*(sweep(with_method(grid, method), workers=workers, progress=progress) for method in METHODS))
-
-
-def with_method(study: Study, method: str) -> Study:
-    """The study with this method in its solver."""
-    return study.but(solver=study.solver.but(method=method))
+    grid = with_cells(study)
+    solvers = (study.solver.but(method=method) for method in METHODS)
+    return compare(*(sweep(grid.but(solver=solver), workers=workers, progress=progress) for solver in solvers))
 
 
 def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:

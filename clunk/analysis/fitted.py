@@ -23,7 +23,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.models import Fit
 from clunk.study.parameters import located, nominal_value, with_draws
 from clunk.study.records import Record, tells, told
-from clunk.study.study import Study, content
+from clunk.study.study import Study, content, study_of_document
 from clunk.study.sweeps import Axis, Draw, Sweep
 from clunk.sweeping.sweep import sweep
 
@@ -270,7 +270,7 @@ class Fitted(Record):
 
     def intervals(self) -> Floats:
         """(d, 2) 5 and 95 % quantiles of each parameter in the ensemble."""
-        return intervals_of(self.draws, self.weights)
+        return np.quantile(self.draws, INTERVAL, axis=0, weights=self.weights, method="inverted_cdf").T
 
     @property
     @tells()
@@ -295,11 +295,6 @@ class Fitted(Record):
         if self.failed:
             sentences.append(f"{self.failed:,} candidates failed at some operating points, which count as missed.")
         return sentences
-
-
-def intervals_of(draws: Floats, weights: Floats) -> Floats:
-    """(d, 2) 5 and 95 % quantiles of the columns of draws, (n, d), with weights, (n,)."""
-    return np.quantile(draws, INTERVAL, axis=0, weights=weights, method="inverted_cdf").T
 
 
 # --- Weights and predictions ------------------------------------------------------------------------------------------
@@ -393,7 +388,7 @@ def fitted_study(fitted: Fitted) -> Study:
             measured = {own.parameter: np.array(axis[end])}
             values = with_draws(study, measured, priors, fitted.estimate)[own.parameter].tolist()
             axis[end] = tuple(values) if end == "values" else values
-    return Study.model_validate(document)
+    return study_of_document(document)
 
 
 def fit_maps(fitted: Fitted) -> tuple[Results, Results]:
@@ -417,5 +412,11 @@ def _axis(fitted: Fitted, k: int) -> Axis:
     parameter, values = fitted.axes[k], fitted.points[:, k]
     key, beyond = located(fitted.study, parameter)[1], _BEYOND * np.ptp(values)
     ends = ((values.min(), values.min() - beyond), (values.max(), values.max() + beyond))
-    start, stop = (float(wide if key.allows(wide) else end) for end, wide in ends)
+
+    def is_allowed(value: float) -> bool:
+        values = {parameter: np.array([value])}
+        after = values | with_draws(fitted.study, values, fitted.priors, fitted.estimate)
+        return key.allows(value) and key.allows(after[parameter].item())
+
+    start, stop = (float(wide if is_allowed(wide) else end) for end, wide in ends)
     return Axis(parameter=parameter, start=start, stop=stop, count=_COUNT)

@@ -17,9 +17,10 @@ import numpy as np
 
 from clunk.analysis.search import in_halves
 from clunk.core.runs import BEGIN, LEVEL, SLOPE
+from clunk.core.status import Status
 from clunk.results.quantities import TEXT, YES_NO, measuring, quantity_of
 from clunk.simulation.load import cases_of
-from clunk.study.arrays import Bools, Floats
+from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.designs import design_of, nominal
 from clunk.study.errors import ClunkError
 from clunk.study.models import Optimize, lash_position
@@ -192,19 +193,19 @@ class Problem:
         """Run candidates, (n, parameters); NaN stands for the config's own values."""
         shape = (len(candidates), *self.shape)
         values = np.full(
-            (len(candidates), math.prod(self.shape), 1 + len(self._numbers) + len(self._conditions)), np.nan
+            (len(candidates), math.prod(self.shape), 2 + len(self._numbers) + len(self._conditions)), np.nan
         )
         allowed = in_halves(self._are_allowed, candidates, np.zeros(1, bool))  # in halves, so that all run together
         if allowed.any():
             values[allowed] = in_halves(self._run, candidates[allowed], values[:1])
-        margin, *found = np.moveaxis(values, 2, 0)
+        margin, fails, *found = np.moveaxis(values, 2, 0)
 
         def worst(values: Floats) -> Floats:
             """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
             return np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1)
 
-        lacks = np.zeros(shape[::2])
-        quantities = {self.minimized: lacks}  # first; its values follow
+        lacks = worst(fails)
+        quantities: dict[str, Array] = {self.minimized: lacks}  # first; its values follow
         for condition, beyond in zip(self._conditions, found[len(self._numbers) :], strict=True):
             lacking = worst(beyond)
             lacks += lacking
@@ -232,11 +233,12 @@ class Problem:
         return np.ones(len(candidates), bool)
 
     def _run(self, candidates: Floats) -> Floats:
-        """Margin, numbers, and how far each condition is from being met, in all runs of candidates, (n, runs, each)."""
+        """Margin, NaN where one fails or 0, numbers, and how far each condition is from being met, (n, runs, each)."""
         values = self._runner.values(self._columns(candidates))
         results = self._runner.run(values, self._tell).of_lash(self._lash)
         self.runs += results.sequence.size
-        found = [results.margin, *(quantity.compared(results) for quantity in self._numbers)]
+        fails = np.where(results.status == Status.OK, 0.0, np.nan)
+        found = [results.margin, fails, *(quantity.compared(results) for quantity in self._numbers)]
         for condition in self._conditions:
             # a number lacks its distance from its bound; a label, or what holds or not, the speed of the impacts
             beyond = results.approach_velocity

@@ -33,15 +33,13 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
         results = read_map(source)
     else:
         from clunk.study.config import load_study
-        from clunk.study.designs import nominal, of_one_cell
+        from clunk.study.designs import with_cells
         from clunk.sweeping.sweep import Job
 
         study = load_study(source, overrides)
         if study.swept.tolerances:
-            study = nominal(study)
             terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
-        if not (study.swept.axes or study.swept.samples):
-            study = of_one_cell(study)
+        study = with_cells(study)
         terminal.warn(study)
         results = Job(study).run(progress=True)
     explorer = serve(results, name=source.stem, port=port or 0, browser=False)

@@ -114,7 +114,8 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
         if not axes:
             raise click.UsageError(f"--at {assignment}: nothing is swept; --set {assignment} gives a key its value.")
         try:
-            axis, wanted = swept.pop(key), float(text or "")
+            axis = swept.pop(key)
+            wanted = text if text in axis.words else float(text or "")
         except (KeyError, ValueError):
             there = _spreads(axes)
             raise click.UsageError(
@@ -125,7 +126,7 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
         except ClunkError as error:
             raise click.UsageError(f"--at {assignment}: {error}") from None
         values[key] = nearest
-        if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
+        if wanted != text and not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
             terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")
     return values
 

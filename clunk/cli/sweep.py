@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,28 +74,35 @@ def sweep(
             terminal.warn(study)
             with opening as engine:
                 result = job.run(engine, progress=True)
-        if not traces:
-            job.finish(result)
-        failed = _report(result, job, as_json)
         if traces:
-            _trace(job, result, study, lash, workers)
+            failed = _trace(job, result, study, lash, workers, as_json)
+        else:
+            job.finish(result)
+            failed = _report(result, job, as_json)
         if job.held is None:
             terminal.say_written(target)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None) -> None:
-    """Add the boundaries to a finished map, and say how many there are."""
+def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None, as_json: bool) -> bool:
+    """Print a finished map, add its boundaries, and say how many there are; returns whether any run has failed."""
     from clunk.analysis.boundaries import with_boundaries
 
-    began = time.perf_counter()
-    traced = job.finish(result, partial(with_boundaries, study, lash=lash, workers=workers, progress=True))
+    began, failed = time.perf_counter(), False
+
+    def addition(result: AnyMap) -> AnyMap:  # the map is kept also where nothing can be printed
+        nonlocal failed
+        failed = _report(result, job, as_json)
+        return with_boundaries(study, result, lash=lash, workers=workers, progress=True)
+
+    traced = job.finish(result, addition)
     if traced is not result and traced.boundaries is not None:
         ((_, numbers),) = traced.boundaries.summary()
         terminal.complain(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s")
         if traced.boundaries.unresolved_sentence:
             terminal.complain(traced.boundaries.unresolved_sentence)
+    return failed
 
 
 def _report(result: AnyMap, job: Job, as_json: bool) -> bool:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import re
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import click
 
+from clunk.study.errors import ClunkError
 from clunk.study.records import WIDTH, counted, fill, words
 
 if TYPE_CHECKING:
@@ -87,8 +88,14 @@ def warn(study: Study, method: str | None = None) -> None:
     """
     from clunk.simulation.driveline import steps_a_period
     from clunk.study.designs import unused_parameters
+    from clunk.study.study import replace_values
 
-    if (method or study.solver.method) == "rk4" and (steps := steps_a_period(study)) < _FEWEST_STEPS:
+    is_rk4 = (method or study.solver.method) == "rk4"
+    for axis in study.swept.axes * is_rk4:  # where on it steps are fewest
+        with suppress(ClunkError):  # not all ends of axes go together
+            ends = (replace_values(study, {axis.parameter: end}) for end in (min(axis.grid), max(axis.grid)))
+            study = min(study, *ends, key=steps_a_period)
+    if is_rk4 and (steps := steps_a_period(study)) < _FEWEST_STEPS:
         complain(
             f"warning: solver.step = {study.solver.step:g} s gives {steps:.2g} steps a period of the fastest "
             f"oscillation; with fewer than {_FEWEST_STEPS} rebounds are lost and labels wrong; exact has no steps"

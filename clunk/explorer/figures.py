@@ -104,8 +104,14 @@ class MapFigure:
         # of one height, or the map would be drawn anew with every text
         styles = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
         self.legend = Div(name="legend", height=62, styles=styles, **WIDE)
-        columns = {"image": "image x y dw dh", "bands": "x0 x1 colour", "lines": "x y", "points": "x y"}
-        sources = {name: _source(names) for name, names in (columns | {"names": "text x y"}).items()}
+        columns = {
+            "image": "image x y dw dh",
+            "bands": "x0 x1 colour",
+            "lines": "x y",
+            "points": "x y",
+            "names": "text x y",
+        }
+        sources = {name: _source(names) for name, names in columns.items()}
         self._marks, self._pointed = _source("x y colour"), _source("x y text align offset")
         shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
         bar = ColorBar(color_mapper=shades, width=10, visible=False)
@@ -153,7 +159,7 @@ class MapFigure:
         }
 
     def _map_changes(self, layers: Layers) -> Changes:
-        x, y = (_pixel_centres(axis) for axis in layers.view.axes)
+        x, y = map(_pixel_centres, layers.view.axes, self._axes)
         regions = layers.codes_at(x, y)
         shades = shades_of([layers]) if layers.shaded else None
         pixels = np.full((*regions.shape, 4), 255, np.uint8)
@@ -233,9 +239,9 @@ def _names(regions: LabelCodes, layers: Layers, x: Floats, y: Floats) -> list[tu
     return names
 
 
-def _pixel_centres(axis: ResultAxis) -> Floats:
-    """Centres of an image's pixels along an ascending axis, in its unit."""
-    to, back = ruler(axis)
+def _pixel_centres(axis: ResultAxis, whole: ResultAxis) -> Floats:
+    """Centres of an image's pixels along an ascending axis, in its unit; `whole` is spaced as the picture's axis is."""
+    to, back = ruler(whole)
     edges = np.linspace(to(axis.values[0]), to(axis.values[-1]), _PIXELS + 1)
     return back(0.5 * (edges[1:] + edges[:-1]))
 

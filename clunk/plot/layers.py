@@ -89,12 +89,16 @@ class Layers:
     caveats: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, drawn: AnyMap, view: View, quantity: str = LABEL, most: int = MOST_LABELS) -> "Layers":
+    def of(
+        cls, drawn: AnyMap, view: View, quantity: str = LABEL, most: int = MOST_LABELS, among: AnyMap | None = None
+    ) -> "Layers":
         """Layers of a quantity of a map in a view; over one axis regions are labels, and values how hard impacts are.
 
         most : labels that are told apart; more are shown by their number of double-sided impacts
+        among : the map that it is a part of, of which others are drawn, too
 
-        Raises PlotError where the quantity is not defined in any cell, ClunkError where there is none of that name.
+        Raises PlotError where the quantity is not defined in any cell of these, ClunkError where there is none of that
+        name.
         """
         described = quantity_of(quantity, drawn)
         if is_strip := len(view.axes) == 1 and described.type == TEXT:
@@ -103,8 +107,9 @@ class Layers:
         labels = drawn.labels if traced is None else traced.labels
         is_label = described.type == TEXT
         values = np.zeros(0) if is_label else view.arrange(described.of_runs(drawn))
-        if not is_label and not is_strip and np.isnan(values).all():
-            has_failed = (drawn.sequence == FAILED_CODE).all()
+        among = among or drawn
+        if not is_label and not is_strip and np.isnan(described.of_runs(among)).all():
+            has_failed = (among.sequence == FAILED_CODE).all()
             why = "; all runs have failed" if has_failed else WHY_UNDEFINED.get(described.name, "")
             raise PlotError(f"There is no {described.name} to draw: it is not defined in any cell{why}.")
         codes = view.arrange(drawn.sequence)
@@ -136,6 +141,8 @@ class Layers:
         of_labels = [described.of_label(label) for label in labels]
         by_label = None not in of_labels
         whole = np.unique(np.array(of_labels) if by_label else values[np.isfinite(values)])
+        if described.type == YES_NO:
+            whole = np.arange(2.0)  # one of them alone has its colour, too
         if (by_label or described.type == YES_NO) and whole.size <= MOST_LABELS and not draws:
             if not by_label:  # lines are traced between labels
                 codes = np.where(np.isnan(values), FAILED_CODE, np.searchsorted(whole, values)).astype(np.int16)
@@ -178,13 +185,13 @@ class Layers:
         around = sliding_window_view(np.pad(codes, 1, "edge"), (3,) * codes.ndim).reshape(*codes.shape, -1)
         meets = np.ptp(around, axis=-1) > 0
         places = tuple(cells_of(axis, at) for axis, at in zip(self.view.axes, self.unresolved.T, strict=True))
-        names, colours = zip(*(looks[number] for number in present.tolist()), strict=True)
+        names, colours = ([looks[number][k] for number in present.tolist()] for k in (0, 1))
         return replace(
             self,
             codes=codes,
             regions_of=regions_of,
-            names=names,
-            colours=colours,
+            names=tuple(names),
+            colours=tuple(colours),
             undecided=self.undecided & meets,
             unresolved=self.unresolved[meets[places]] if len(self.unresolved) else self.unresolved,
             facts=(*self.facts, fact),

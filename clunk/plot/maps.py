@@ -43,6 +43,7 @@ from clunk.plot.style import (
     lay_out,
     new_figure,
     new_panels,
+    plain,
     styled,
     swatch,
     symbol_text,
@@ -174,13 +175,15 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
     axes = [changing[facet] for facet in facets]
     values = [axis.few(MOST_VALUES[len(axes) - 1]) for axis in axes]
     places = list(product(*values))
-    most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
+    labels = np.unique(results.sequence[results.sequence >= 0])
+    most = 0 if labels.size > MOST_LABELS else MOST_LABELS  # all panels alike
     parts = [results.at(dict(zip(facets, place, strict=True))) for place in places]
-    panels = [Layers.of(part, View.of_plane(part, x, y), quantity, most) for part in parts]
-    names = [
-        "\n".join(symbol_text(value_text(axis, value, symbol=True)) for axis, value in zip(axes, place, strict=True))
-        for place in places
-    ]
+    panels = [Layers.of(part, View.of_plane(part, x, y), quantity, most, results) for part in parts]
+    names = []
+    for place in places:
+        texts = (value_text(axis, value, symbol=True) for axis, value in zip(axes, place, strict=True))
+        parted = (text.rpartition(" = ") for text in texts)  # units and words are no symbols
+        names.append("\n".join(symbol_text(symbol) + plain(equals + value) for symbol, equals, value in parted))
     counts = [f"{axis.name}: {len(shown)} of {len(axis)} values" for axis, shown in zip(axes, values, strict=True)]
     layers = replace(panels[0], caveats=(*counts, *results.caveats))
     line = layers.subtitle(fixed_parameters(results))

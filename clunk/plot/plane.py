@@ -173,7 +173,7 @@ def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAx
     ax, is_single = panels[0], len(panels) == 1
     for which, axis in zip("xy", axes, strict=False):
         scale_axis(ax, which, axis, 10 if is_single else 5)
-        ax.set(**{f"{which}lim": (axis.values[0], axis.values[-1])})
+        ax.set(**{f"{which}lim": (axis.values.min(), axis.values.max())})
     if not is_single:
         figure.subfigs[0].supxlabel(ax.get_xlabel(), fontsize=10.0)
         figure.subfigs[0].supylabel(ax.get_ylabel(), fontsize=10.0)

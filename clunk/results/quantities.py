@@ -249,7 +249,11 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     Raises ClunkError where there is none, or it is not defined for the study's contact model.
     """
     known, is_drawn = quantities_of(source), not isinstance(source, Study) and len(source.sample) > 0
-    text = re.sub(r"^\w+(?=\s*([<>=]|$))", lambda found: _SHORT.get(found[0].upper(), found[0]), text.strip())
+    text = re.sub(
+        r"^\w+(?=\s*([<>=]|$))",
+        lambda found: found[0] if found[0] in known else _SHORT.get(found[0].upper(), found[0]),
+        text.strip(),
+    )
     words = _REQUEST.fullmatch(text)
     name, relation, bound = words.groups("") if words else (text, "", "")
     if name not in known:

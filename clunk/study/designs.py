@@ -125,8 +125,10 @@ def nominal(study: Study) -> Study:
     return study.but(sweep=study.sweep.but(tolerances=()))
 
 
-def of_one_cell(study: Study) -> Study:
-    """A study without a sweep as one of a single cell, so that it has results."""
+def with_cells(study: Study) -> Study:
+    """The study without its tolerances; one with nothing to sweep as one of a single cell, so that it has results."""
+    if study.swept.axes or study.swept.samples:
+        return nominal(study)
     parameter = dotted((*study.lash_places[0], "backlash_deg"))  # any key does that every study has
     axis = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
     return study.but(sweep=Sweep(axes=(axis,)))
@@ -152,7 +154,13 @@ def unused_parameters(study: Study) -> list[str]:
 def is_unused(study: Study, parameter: str) -> bool:
     """Whether a key changes nothing in the study's contact model."""
     if study.has_rigid_flanks:
-        unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
+        unused = {
+            "lash.radius",
+            "lash.contact.stiffness",
+            "lash.contact.damping",
+            "impacts.sticking_time",
+            "impacts.acceleration_of",
+        }
     else:
         unused = {"lash.contact.restitution", "lash.contact.locking_speed"}
     return re.sub(r"^lash\[\d+\]", "lash", parameter) in unused | {"load.step_time"}

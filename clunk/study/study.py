@@ -65,10 +65,15 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     ['NI', 'SS(1)', 'DS(1)SS(1)']
     """
     document, _ = with_values(study, values)
-    replaced, findings = validated(Study, document)
-    if replaced is None:
+    return study_of_document(document).but(**{name: getattr(study, name) for name in NOT_OF_A_RUN})
+
+
+def study_of_document(document: Document) -> Study:
+    """The study of plain tables, lists and values. Raises ConfigError where a config may not hold these."""
+    study, findings = validated(Study, document)
+    if study is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
-    return replaced.but(**{name: getattr(study, name) for name in NOT_OF_A_RUN})
+    return study
 
 
 def content(study: Study) -> Document:
@@ -95,8 +100,10 @@ def decisive_content(study: Study) -> Document:
         decisive.pop(table, None)
     decisive.get("sweep", {}).pop("boundaries", None)
     decisive["driveline"].pop("names", None)
+    measured = {each.of for each in study.measures}  # by their names
     for named in (*(items_of(decisive["lash"]) or [decisive["lash"]]), *decisive["driveline"]["shafts"]):
-        named.pop("name", None)
+        if named.get("name") not in measured:
+            named.pop("name", None)
     for axis in study.swept.axes:
         decisive = with_value(decisive, located(study, axis.parameter)[0], None)
     return decisive

@@ -14,14 +14,14 @@ import signal
 import threading
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import Flag, Grid, Tile
+from clunk.sweeping.cells import Grid, Tile
 from clunk.sweeping.machine import available_cores
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
@@ -35,30 +35,17 @@ class EngineError(ClunkError):
     """An engine that cannot start or go on; its text is one sentence for the user."""
 
 
-def run_tiles(
-    grid: Grid, cells: Cells, engine: Executor | None = None, workers: int | None = None
-) -> Generator[Tile, None, None]:
+def run_tiles(grid: Grid, cells: Cells, engine: Executor) -> Generator[Tile, None, None]:
     """Run cells until none wait or run; yield finished tiles in the order in which they finish.
 
-    Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on.
-
-    engine : by default threads; of these, `workers`, or one for each core that this process may use. Work that takes a
-        moment is done without them.
+    Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on. Work that
+    takes a moment is done without threads.
     """
     stop, waiting = np.zeros(1, np.uint8), grid.ordered(cells)
-    if grid.few_cells and (engine is None or isinstance(engine, Threads)):
+    if grid.few_cells and isinstance(engine, Threads):
         while waiting.size and not _MOMENT <= waiting.size * grid.pace[0] < math.inf:
             few, waiting = np.split(waiting, [grid.few_cells if grid.pace[0] == math.inf else grid.tile_cells])
             yield grid.run(few, stop)
-        if not waiting.size:
-            return
-    opening = nullcontext(engine) if engine is not None else Threads(workers or available_cores())
-    with opening as executor:
-        yield from _in_parallel(executor, grid, waiting, stop)
-
-
-def _in_parallel(engine: Executor, grid: Grid, waiting: Cells, stop: Flag) -> Generator[Tile, None, None]:
-    """Run cells on the workers of an engine, until none wait or run, or the generator is left."""
     running: set[Future[Tile]] = set()
     count = waiting.size
     try:

@@ -69,7 +69,7 @@ def reporting(progress: bool | Progress, cells: int, study: Study, what: str = "
     """Function to report progress to; a bar is shown when the kernels that the study needs are compiled."""
     from clunk.sweeping.cells import compiling_note, warm_up
 
-    if progress is False or cells == 0:
+    if progress is False:
         yield None
     elif progress is True:
         note(compiling_note(study), progress)

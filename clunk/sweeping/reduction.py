@@ -96,18 +96,17 @@ class Reduction:
 
     def run(
         self,
-        engine: Executor | None,
-        workers: int | None,
+        engine: Executor,
         progress: Progress | None,
         keep: Callable[[Tile], None] | None = None,
     ) -> None:
         """Run the cells that have not been added; of these, none that runs at an interrupt.
 
-        engine, workers : see `run_tiles`
+        engine : see `run_tiles`
         progress : called in this thread with the number of cells, first of those added before, then after each tile
         keep : called with each tile that has been added
         """
-        with closing(run_tiles(self.grid, np.flatnonzero(~self.known), engine, workers)) as tiles:
+        with closing(run_tiles(self.grid, np.flatnonzero(~self.known), engine)) as tiles:
             if progress is not None:
                 progress(self.done, self.design.cells)
             for tile in tiles:

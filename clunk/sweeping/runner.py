@@ -18,6 +18,7 @@ from clunk.sweeping.cells import Grid
 from clunk.sweeping.machine import provenance
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.reduction import Reduction, regime_map
+from clunk.sweeping.sweep import engine_of
 
 
 class Runner:
@@ -41,6 +42,8 @@ class Runner:
     ------
     ConfigError
         Where the study has no such key, or one is given twice, or none.
+    EngineError
+        Where there is to be no worker.
 
     Examples
     --------
@@ -61,7 +64,7 @@ class Runner:
         if not self.keys:
             raise ConfigError("A Runner needs a key or more, in which its runs differ.")
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
-        self._engine, self._workers = engine, workers
+        self._engine = engine or engine_of(None, workers)
         self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were looked at
 
     def __call__(self, points: npt.ArrayLike, *, progress: Progress | None = None) -> Results:
@@ -88,7 +91,7 @@ class Runner:
     def run(self, values: Floats, progress: Progress | None = None) -> Results:
         """Run points, (n, keys), whose values are allowed."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
-        reduction.run(self._engine, self._workers, progress)
+        reduction.run(self._engine, progress)
         return regime_map(reduction, self._attributes)
 
     def values(self, columns: Mapping[str, npt.ArrayLike]) -> Floats:

@@ -5,7 +5,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from clunk.core.status import Status
@@ -109,7 +109,7 @@ class Job:
         """Keep the finished cells where something stops, and say where they are."""
         try:
             yield
-        except (KeyboardInterrupt, SystemExit, EngineError, StoreError) as stopped:  # SIGINT, SIGTERM, workers gone
+        except (KeyboardInterrupt, SystemExit, ClunkError) as stopped:  # SIGINT, SIGTERM, workers gone, disk full
             if self.parts is not None:
                 self.parts.flush()
                 kept = f"{self.parts.kept:,} cells are kept in {self.parts.directory.path}; the same command goes on"
@@ -120,13 +120,12 @@ class Job:
         self,
         engine: Executor | None = None,
         *,
-        workers: int | None = None,
         progress: bool | Progress = False,
     ) -> AnyMap:
         """Run the cells that are not finished.
 
-        engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads
-        workers : number of these threads; by default one for each core that this process may use
+        engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads, one for each core that this
+            process may use
         progress : whether a bar is shown; or called in this thread with the number of cells, first of those finished
             before, then after each tile
 
@@ -148,7 +147,7 @@ class Job:
                     note(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there", progress)
             before = reduction.done
             with self._kept():
-                reduction.run(engine, workers, report, None if parts is None else parts.add)
+                reduction.run(engine or engine_of(None), report, None if parts is None else parts.add)
                 make = tolerance_map if isinstance(reduction.grid, SampleGrid) else regime_map
                 result = make(reduction, provenance(engine))
             self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
@@ -192,8 +191,8 @@ def _held(path: Path, study: Study) -> AnyMap:
         held = read_map(path)
     except StoreError as error:
         raise ClunkError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
-    if held.config_digest != digest(study):
-        differing = differences(held.config, study)
+    if held.config_digest != digest(study) or held.sequence.size != design_of(study).cells * len(study.lashes):
+        differing = differences(held.config, study) or "a part of its map"
         raise ClunkError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
     return held
 
@@ -209,8 +208,8 @@ def _refuse_if_too_large(shape: Sequence[int]) -> None:
         )
 
 
-def engine_of(scheduler: str | None, workers: int | None = None) -> AbstractContextManager[Executor]:
-    """Engine to be opened: this process's threads, or the workers of a dask scheduler.
+def engine_of(scheduler: str | None, workers: int | None = None) -> Executor:
+    """Engine: this process's threads, or the workers of a dask scheduler; to be opened, if it is these.
 
     scheduler : address, ``tcp://host:8786``; or ``local`` for processes on this machine; or None for threads
     workers : number of threads or of these processes; by default one for each core that this process may use
@@ -218,7 +217,7 @@ def engine_of(scheduler: str | None, workers: int | None = None) -> AbstractCont
     Raises EngineError where the address is none, or dask is not installed.
     """
     if workers is not None and workers < 1:
-        raise EngineError(f"A sweep needs at least one worker, not {workers}.")
+        raise EngineError(f"There is to be at least one worker, not {workers}.")
     if scheduler is None:
         return Threads(workers or available_cores())
     if scheduler != "local" and not re.fullmatch(r"[a-z]+://\S+", scheduler):
@@ -247,6 +246,7 @@ def sweep(
     """
     if study.swept.tolerances:
         raise ClunkError(HAS_TOLERANCES)
-    results = Job(study, design).run(workers=workers, progress=progress)
+    with engine_of(None, workers) as engine:
+        results = Job(study, design).run(engine, progress=progress)
     assert isinstance(results, Results)
     return results

@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from clunk.analysis.fitted import effective_size, intervals_of, weights_of
+from clunk.analysis.fitted import INTERVAL, effective_size, weights_of
 from clunk.analysis.fitting import Candidates, sample
 from clunk.analysis.measurements import experiment_of
 from clunk.api import run_points
@@ -79,7 +79,7 @@ def intervals(study, text, engine):
     fit = study.fit
     draws, values, density = sample(candidates, len(fit.parameters), fit.effective_draws, fit.draws, fit.seed)
     weights = weights_of(values, density)
-    bounds = intervals_of(candidates.numbers(draws), weights)
+    bounds = np.quantile(candidates.numbers(draws), INTERVAL, axis=0, weights=weights, method="inverted_cdf").T
     return bounds, effective_size(weights), len(draws)
 
 

@@ -179,12 +179,9 @@ def _binary(operations: tuple[Any, ...], result, emit: Callable[..., Any]) -> No
             lower_builtin(operation, *pair)(lower)
 
 
-def _bits(builder, mask):
-    return builder.zext(builder.bitcast(mask, ir.IntType(WIDTH)), _INT)
-
-
 def _comparison(sign: str) -> Callable[..., Any]:
-    return lambda builder, a, b: _bits(builder, builder.fcmp_ordered(sign, a, b))
+    bits = ir.IntType(WIDTH)
+    return lambda builder, a, b: builder.zext(builder.bitcast(builder.fcmp_ordered(sign, a, b), bits), _INT)
 
 
 _binary((operator.add, operator.iadd), _LANES, ir.IRBuilder.fadd)
