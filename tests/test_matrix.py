@@ -15,7 +15,7 @@ from helpers.maps import CELL_QUANTITIES
 from helpers.studies import random_study
 
 import clunk
-from clunk.analysis.comparison import METHODS, with_method
+from clunk.analysis.comparison import METHODS
 from clunk.core.status import Status
 from clunk.simulation.energy import balance
 from clunk.study.config import study_from_text
@@ -63,6 +63,10 @@ class Ran(NamedTuple):
     def maps(self):
         """Results by the method."""
         return dict(zip(METHODS, self.comparison.maps, strict=True))
+
+
+def with_method(study, method):
+    return study.but(solver=study.solver.but(method=method))
 
 
 def shipped(path):
