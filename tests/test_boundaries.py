@@ -137,6 +137,18 @@ def test_regions_fill_the_map_and_have_the_labels_of_runs_in_them(coarse):
         assert labels == [label] or abs(margin) < 1e-3
 
 
+def test_no_line_is_lost_between_others_on_an_edge():
+    """Between two cells a longer ramp leaves double-sided impacts, a single-sided one, none, and a single-sided one."""
+    ramp = [EXACT, 'load.profile="ramp"']
+    swept = study(axis("load.duration", 0.2, 0.45, 2), axis("load.ratio", 9.5, 10.5, 2), of=ramp)
+    network = clunk.sweep(swept).boundaries
+    assert "NI" in {region.label for region in network.regions}
+    points = [0.2, 9.5] + [0.25, 1.0] * np.random.default_rng(3).random((300, 2))
+    runs = clunk.run_points(swept, {"load.duration": points[:, 0], "load.ratio": points[:, 1]})
+    found = [[region.label for region in network.regions if is_within(region, point)] for point in points]
+    assert sum(labels != [label] for labels, label in zip(found, runs.label_map, strict=True)) <= 1
+
+
 def test_thin_regions_are_found_between_cells_of_one_label(finer):
     cells = set(clunk.sweep(figure(61), boundaries=False).labels)
     thin = [region for region in finer.regions if region.label not in cells]

@@ -300,7 +300,7 @@ class Lines:
         return keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
 
     def _locate(self) -> None:
-        """Locate crossings on new edges, nearly, and cut those with several."""
+        """Locate crossings on new edges, nearly, and cut those with several between each two, so that none is lost."""
         keys = self._mixed_edges(only_new=True)
         keys = keys[~np.isin(keys, self.keys)]
         if not keys.size:
@@ -309,15 +309,17 @@ class Lines:
         brackets, runs = self.triangles.positions[nodes], self.triangles.runs[nodes]
         lines, ends, runs = self._crossings(keys, brackets, runs, _NEAR)
         edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
-        single, several = counts == 1, counts > 1
-        self._keep(keys[edges[single]], ends[begins[single]], runs[begins[single]])
-        left, middle = keys[edges[several]], (begins + counts // 2 - 1)[several]
-        begin, rest = ends_of(left)
-        added = len(self.triangles.runs) + np.arange(left.size)
-        self._cuts.append((left, 0.5 * (ends[middle, 1] + ends[middle + 1, 0]), runs[middle, 1]))
-        is_first, is_last = counts[several] < 4, counts[several] == 2
-        self._keep(keys_of(begin, added)[is_first], ends[middle[is_first]], runs[middle[is_first]])
-        self._keep(keys_of(rest, added)[is_last], ends[middle[is_last] + 1, ::-1], runs[middle[is_last] + 1, ::-1])
+        is_told = np.repeat(counts <= _MOST_CROSSINGS, counts)  # others are not narrowed
+        (node, last), added = ends_of(keys[edges]), len(self.triangles.runs)
+        while begins.size:  # of each edge the next crossing, and, if it is not the last, a node behind it
+            is_cut, beyond = counts > 1, last.copy()
+            at = begins[is_cut]
+            beyond[is_cut] = new = added + np.arange(at.size)
+            told, turned, brackets, pairs = is_told[begins], node > beyond, ends[begins], runs[begins]
+            brackets[turned], pairs[turned] = brackets[turned, ::-1], pairs[turned, ::-1]
+            self._keep(keys_of(node, beyond)[told], brackets[told], pairs[told])
+            self._cuts.append((keys_of(node, last)[is_cut], 0.5 * (ends[at, 1] + ends[at + 1, 0]), runs[at, 1]))
+            begins, counts, node, last, added = at + 1, counts[is_cut] - 1, new, last[is_cut], added + at.size
 
     def _sharpen(self) -> None:
         """Narrow the brackets of the crossings that there are in the end."""

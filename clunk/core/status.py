@@ -30,7 +30,7 @@ _SENTENCES = {
     Status.NON_FINITE: "the state became infinite or undefined",
     Status.EVENT_BUFFER_FULL: (
         "more events than solver.max_events allows, or more changes of stage than are followed; "
-        "shorten solver.end_time, or raise solver.max_events, to 100,000 at most"
+        "shorten solver.end_time, or raise a solver.max_events of less than 100,000"
     ),
     Status.UNSTABLE_STEP: (
         "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode; a load may be faster)"

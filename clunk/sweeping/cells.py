@@ -336,7 +336,7 @@ class Grid:
         """
         solver, runs, lashes = self.study.solver, len(cases.before), self.layout.lashes
         most = min(room, solver.max_events)
-        cells, done, impacts, each = np.zeros((runs, lashes), CELL), 0, [], _IMPACTS * lashes
+        cells, done, impacts, each = np.zeros((runs, lashes), CELL), 0, [np.zeros(0, IMPACT)], _IMPACTS * lashes
         while done < runs and not stop[0]:
             # so much more that a few runs with many impacts are not run again
             found = np.zeros(each * (runs - done) + 3 * most, IMPACT)
@@ -344,7 +344,7 @@ class Grid:
             done, written = kernel.run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
             impacts.append(found[:written].copy())
             each *= 2
-        return cells[:done], np.concatenate(impacts, dtype=IMPACT) if impacts else np.zeros(0, IMPACT)
+        return cells[:done], np.concatenate(impacts, dtype=IMPACT)
 
     def _measured(self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output) -> tuple[Records, Records]:
         """Records and impacts of runs with their measures."""
