@@ -146,7 +146,8 @@ def test_no_line_is_lost_between_others_on_an_edge():
     points = [0.2, 9.5] + [0.25, 1.0] * np.random.default_rng(3).random((300, 2))
     runs = clunk.run_points(swept, {"load.duration": points[:, 0], "load.ratio": points[:, 1]})
     found = [[region.label for region in network.regions if is_within(region, point)] for point in points]
-    assert sum(labels != [label] for labels, label in zip(found, runs.label_map, strict=True)) <= 1
+    wrong = sum(labels != [label] for labels, label in zip(found, runs.label_map, strict=True))
+    assert wrong <= 1  # within a chord's distance of a line; 115 lay in the lost region
 
 
 def test_thin_regions_are_found_between_cells_of_one_label(finer):

@@ -591,3 +591,13 @@ def test_what_is_to_be_written_is_written_though_nobody_reads_on(tmp_path):
     _, errors = process.communicate(timeout=120)
     assert (process.returncode, errors) == (0, b"-> run.csv\n")
     assert (tmp_path / "run.csv").stat().st_size > 1000
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a file that takes nothing is Linux's")
+def test_a_map_is_written_though_what_is_told_of_it_cannot_be(tmp_path):
+    config = [f"--set=sweep.axes[{k}].count=3" for k in (1, 2)]
+    command = [sys.executable, "-m", "clunk", "sweep", ROOT / "configs/smoke.toml", *config, "-o", "map.h5"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, timeout=120, check=False)
+    assert done.returncode == 2
+    assert read_results(tmp_path / "map.h5").shape == (3, 3)

@@ -344,3 +344,16 @@ def test_where_files_cannot_grow_the_command_ends_with_a_sentence_and_can_go_on(
     digest, _, err = finish(tmp_path)
     assert digest == undisturbed
     assert "1,271 cells were finished before" in err
+
+
+def test_where_the_results_cannot_be_written_all_cells_are_kept(study, whole, target):
+    with sweeping.opened(target, study) as job:
+        result = job.run()
+        target.mkdir()
+        with pytest.raises(clunk.ClunkError) as raised:
+            job.finish(result)
+    assert "289 cells are kept" in raised.value.__notes__[-1]
+    target.rmdir()
+    with sweeping.opened(target, study) as job:
+        assert equal(job.run(), whole)
+        assert job.parts.taken_up == 289

@@ -3,9 +3,11 @@
 import json
 
 import pytest
+from click.testing import CliRunner
 from conftest import NOMINAL as OF_REPORT, axis, values
 
 from clunk.analysis.comparison import METHODS, verify
+from clunk.cli import cli
 from clunk.core.status import QUALITY_COMPLETE
 from clunk.study.config import study_from_text
 
@@ -84,6 +86,14 @@ def test_a_study_of_tolerances_alone_is_verified_by_its_run():
 def test_a_step_that_is_too_coarse_at_an_end_of_an_axis_is_warned_of(verify_command):
     _, _, err = verify_command(NOMINAL + values("lash.contact.stiffness", [4e5, 4e7]) + values("load.ratio", [5.0]))
     assert "rebounds are lost and labels wrong" in err
+
+
+def test_a_run_is_not_warned_of_the_ends_of_axes_that_it_is_not_at(tmp_path):
+    swept = tmp_path / "swept.toml"
+    swept.write_text(NOMINAL + values("lash.contact.stiffness", [4e5, 4e7]), encoding="utf-8")
+    at = ["simulate", str(swept), "--at", "lash.contact.stiffness="]
+    told = [CliRunner().invoke(cli, [*at[:-1], at[-1] + value]).stderr for value in ("4e5", "4e7")]
+    assert ["rebounds are lost" in each for each in told] == [False, True]
 
 
 def test_verify_exits_4_and_names_the_cells_where_labels_differ_also_in_json(verify_command):

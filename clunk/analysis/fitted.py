@@ -414,8 +414,8 @@ def _axis(fitted: Fitted, k: int) -> Axis:
     ends = ((values.min(), values.min() - beyond), (values.max(), values.max() + beyond))
 
     def is_allowed(value: float) -> bool:
-        values = {parameter: np.array([value])}
-        after = values | with_draws(fitted.study, values, fitted.priors, fitted.estimate)
+        before = {parameter: np.array([value])}
+        after = before | with_draws(fitted.study, before, fitted.priors, fitted.estimate)
         return key.allows(value) and key.allows(after[parameter].item())
 
     start, stop = (float(wide if is_allowed(wide) else end) for end, wide in ends)

@@ -78,7 +78,7 @@ def simulate(
     if note := compiling_note(*(study for _, study in studies)):
         terminal.complain(note)
     for _, study in studies:
-        terminal.warn(study)
+        terminal.warn(study.but(sweep=None))
     runs = [(name, run(study)) for name, study in studies]
     records = [{"run": name} | run_record(trajectory) for name, trajectory in runs]
     if as_json:

@@ -185,13 +185,13 @@ class Layers:
         around = sliding_window_view(np.pad(codes, 1, "edge"), (3,) * codes.ndim).reshape(*codes.shape, -1)
         meets = np.ptp(around, axis=-1) > 0
         places = tuple(cells_of(axis, at) for axis, at in zip(self.view.axes, self.unresolved.T, strict=True))
-        names, colours = ([looks[number][k] for number in present.tolist()] for k in (0, 1))
+        names, colours = (tuple(looks[number][k] for number in present.tolist()) for k in (0, 1))
         return replace(
             self,
             codes=codes,
             regions_of=regions_of,
-            names=tuple(names),
-            colours=tuple(colours),
+            names=names,
+            colours=colours,
             undecided=self.undecided & meets,
             unresolved=self.unresolved[meets[places]] if len(self.unresolved) else self.unresolved,
             facts=(*self.facts, fact),

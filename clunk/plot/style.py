@@ -208,7 +208,7 @@ def colour_of(label: str) -> str:
         return _NO_IMPACT
     terms = [(kind, int(count)) for kind, count in re.findall(r"([A-Z]+)\((\d+)\)", label)]
     last = max((k for k, (kind, _) in enumerate(terms) if kind == "DS"), default=0)
-    follows = sum(count * _WEIGHTS.get(kind, 1.0) for kind, count in terms)
+    follows = sum(count * _WEIGHTS[kind] for kind, count in terms)
     follows += sum(_BEFORE * count for kind, count in terms[:last] if kind != "DS")
     depth = _LIGHTEST + _RANGE * (1.0 - math.exp(-follows / _FALL))
     return tint(HUES[double_sided(label) % len(HUES)], depth)

@@ -44,7 +44,7 @@ _KEPT = 2  # batches of drivelines
 _TILE_BATCHES = 8  # of a tile whose cells have a driveline each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 FEW = 32  # cells, whose time tells whether others are worth threads
-_FILLED = 4  # times as long as beside many others a run takes beside few, in many regimes: most lanes are empty then
+_SLOWER = 4  # times as long as beside many others a run takes beside few, in many regimes: most lanes are empty then
 _FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 16  # of a run in a lash, that there is room for at first
@@ -206,7 +206,7 @@ class Grid:
         began = time.perf_counter()
         tile = self.tile_of(cells, stop)
         pace = (time.perf_counter() - began) / max(cells.size, 1)
-        self.pace[0] = pace if cells.size > FEW else min(pace / _FILLED, self.pace[0])
+        self.pace[0] = pace if cells.size > FEW else min(pace / _SLOWER, self.pace[0])
         return tile
 
     def tile_of(self, cells: Cells, stop: Flag) -> Tile:

@@ -191,9 +191,11 @@ def _held(path: Path, study: Study) -> AnyMap:
         held = read_map(path)
     except StoreError as error:
         raise ClunkError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
-    if held.config_digest != digest(study) or held.sequence.size != design_of(study).cells * len(study.lashes):
-        differing = differences(held.config, study) or "a part of its map"
+    if held.config_digest != digest(study):
+        differing = differences(held.config, study)
         raise ClunkError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
+    if held.sequence.size != design_of(study).cells * len(study.lashes):
+        raise ClunkError(f"{path} holds a part of this map. {_WAYS_OUT}")
     return held
 
 
