@@ -5,6 +5,7 @@ The cells in which labels differ are cut into triangles. Where the ends of an ed
 is expected two runs locate it. One operation refines what is not told well enough, a node on an edge: between two
 crossings of the same edge; on the far edge of a triangle whose line is further from its chord than `CHORD`; and beside
 the crossings on the long edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
+When no line is left to follow, edges with a crossing are asked once for labels hidden beside it (`with_hidden`).
 All that needs crossings to `_NEAR` only. Those that there are in the end are narrowed to the tolerance with the runs
 that are left, so that what lies where comes before its digits.
 
@@ -222,8 +223,18 @@ class Lines:
 
     def trace(self) -> None:
         """Locate the crossings on edges, and add nodes, until all lines are told well enough or there are no runs."""
-        for axis in (0, 1):
-            self._find_hidden(axis)
+        for nodes in (self.triangles.nodes, self.triangles.nodes.T):
+            keys = keys_of(nodes, np.roll(nodes, -1, axis=1))
+            self._find_hidden(keys, self.triangles.positions[nodes], self.triangles.runs[nodes])
+        self._follow()
+        self._find_beside_crossings()
+        self._follow()
+        self._sharpen()
+        places = self.triangles.positions[self._wide()].mean(axis=1)
+        self.unresolved = np.concatenate([self.unresolved, places])
+
+    def _follow(self) -> None:
+        """Locate crossings and add nodes, until nothing waits."""
         while self._cuts or not self._rounds:
             self.triangles.is_new[:] = not self._rounds
             for cut in self._cuts:
@@ -231,9 +242,6 @@ class Lines:
             self._cuts, self._rounds = [], self._rounds + 1
             self._locate()
             self._refine()
-        self._sharpen()
-        places = self.triangles.positions[self._wide()].mean(axis=1)
-        self.unresolved = np.concatenate([self.unresolved, places])
 
     def segments(self) -> tuple[Codes, Codes]:
         """Pieces of lines in triangles: the nodes at their ends (n, 2), and codes on their left and right.
@@ -273,24 +281,34 @@ class Lines:
         positions[nodes < 0] = self.met[-1 - nodes[nodes < 0]]
         return positions
 
-    def _find_hidden(self, axis: int) -> None:
-        """Add nodes of other labels that are hidden between two nodes of the map of the same label, along an axis."""
-        nodes, positions = np.moveaxis(self.triangles.nodes, axis, 1), self.triangles.positions
+    def _find_hidden(self, keys: Codes, places: Floats, runs: Points) -> None:
+        """Cut edges on which another label is hidden between two known points of the same label.
+
+        keys : of the edge from each point to the next of its line (n, m), the last ones of no meaning
+        places, runs : of points on straight lines, in their order, (n, m, 2) and (n, m) POINT
+        """
+        begin, way = places[:, 0], places[:, -1] - places[:, 0]
+        way /= _length(way)[:, None]
+        runs["cell"], runs["value"] = np.arange(len(runs))[:, None], _length(places - begin[:, None])
 
         def place(lines: Codes, values: Floats) -> Floats:
-            places = positions[nodes[lines, 0]]
-            places[:, axis] = values
-            return places
+            return begin[lines] + values[:, None] * way[lines]
 
-        points = self.triangles.runs[nodes]
-        points["cell"], points["value"] = np.arange(len(nodes))[:, None], positions[nodes, axis]
-        points, nodes_in_order = points.ravel(), nodes.ravel()
+        points = runs.ravel()
         found, before = with_hidden(points, lambda *at: self._run(place(*at)), _HALVINGS, self._may_cut)
         hits = np.flatnonzero(found["outcome"] != points["outcome"][before])
-        at, first = np.unique(before[hits], return_index=True)
+        keys, first = np.unique(keys.ravel()[before[hits]], return_index=True)
         runs = found[hits[first]]
-        keys = keys_of(nodes_in_order[at], nodes_in_order[at + 1])
-        self.triangles.add(keys, place(runs["cell"], runs["value"]), runs)
+        if keys.size:
+            self._cuts.append((keys, place(runs["cell"], runs["value"]), runs))
+
+    def _find_beside_crossings(self) -> None:
+        """Cut edges on which another label is hidden beside the crossing."""
+        keys = np.intersect1d(self._mixed_edges(), self.keys)
+        nodes, at = np.stack(ends_of(keys), axis=1), np.searchsorted(self.keys, keys)
+        places = np.insert(self.triangles.positions[nodes], [1], self.brackets[at], axis=1)
+        runs = np.insert(self.triangles.runs[nodes], [1], self.runs[at], axis=1)
+        self._find_hidden(np.repeat(keys[:, None], 4, axis=1), places, runs)
 
     def _mixed_edges(self, *, only_new: bool = False) -> Codes:
         """Keys of the edges whose ends have different labels, ascending."""

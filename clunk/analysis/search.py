@@ -111,7 +111,8 @@ def _may_hide(points: Points) -> Bools:
     alike = (left["cell"] == right["cell"]) & (left["outcome"] == right["outcome"]) & (left["outcome"] != FAILED_CODE)
     hidden = np.abs(right["touches"] - left["touches"]) >= _TOUCHES
     width, least = right["value"] - left["value"], np.abs(points["measure"])
-    slope = np.abs(np.diff(least)) / width
+    with np.errstate(invalid="ignore"):  # where a bracket begins at a known point
+        slope = np.abs(np.diff(least)) / width
     # whatever the signs: across a sliver a margin may pass from what did not happen to what did
     is_dip = alike[:-1] & alike[1:] & (least[1:-1] <= np.minimum(least[:-2], least[2:]))
     slope = _STEEPER * np.maximum(slope[:-1], slope[1:])
