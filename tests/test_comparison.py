@@ -473,8 +473,8 @@ def test_experiment_map_shows_every_point_inside_filled_where_it_agrees() -> Non
     figure = experiment_map(results, comparison)
     inside = [point for point in comparison.points if point.computed is not None]
     assert comparison.agreeing
-    assert sorted(drawn(figure, "agrees")) == sorted(point.values for point in inside if point.agrees)
-    assert sorted(drawn(figure, "differs")) == sorted(point.values for point in inside if not point.agrees)
+    assert sorted(drawn(figure, "agrees")) == sorted(tuple(point.at.values()) for point in inside if point.agrees)
+    assert sorted(drawn(figure, "differs")) == sorted(tuple(point.at.values()) for point in inside if not point.agrees)
     texts = [text.get_text() for text in figure.axes[0].texts if text.get_gid() == "measured"]
     assert sorted(texts) == sorted(point.measured for point in inside)
     assert_readable(figure)

@@ -194,11 +194,6 @@ class Point(Record):
     cell: dict[str, float | str] | None = told()
 
     @property
-    def values(self) -> tuple[float, ...]:
-        """The measured values, in the order of the results' axes."""
-        return tuple(self.at.values())
-
-    @property
     def counts(self) -> bool:
         """Whether the nearest cell has a label to compare with."""
         return self.computed is not None and self.computed != FAILED
@@ -308,8 +303,9 @@ def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
     lines: dict[tuple[str, ...], dict[float, list[Point]]] = defaultdict(lambda: defaultdict(list))
     for point in points:
         # as text, so that NaN, a parameter that was not measured, is equal to itself
-        fixed = tuple(repr(value) for k, value in enumerate(point.values) if k != position)
-        lines[fixed][point.values[position]].append(point)
+        values = [*point.at.values()]
+        fixed = tuple(repr(value) for k, value in enumerate(values) if k != position)
+        lines[fixed][values[position]].append(point)
     changes = [
         (
             double_sided(second.measured) - double_sided(first.measured),

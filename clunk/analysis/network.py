@@ -64,19 +64,16 @@ def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
 
     The labels are rows of ascending codes, with `NO_LABEL` behind them.
     """
+    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
-    near = KDTree(points).query_ball_point(points, SAME, p=np.inf) if len(points) else []
-    first: dict[int, int] = {}  # of those at the same place, of each
-    for k, same in enumerate(near):
-        if k not in first:
-            first |= {each: k for each in same if each not in first}
-    places = np.unique(np.array([*first.values()], np.int64))
-    met = [set(np.unique(labels[[k for k in near[place] if first[k] == place]]).tolist()) for place in places]
-    codes = np.full((len(met), max(map(len, met), default=3)), NO_LABEL, np.int16)
-    for row, each in zip(codes, met, strict=True):
-        row[: len(each)] = sorted(each)
-    at = points[places]
+    tree = KDTree(points)
+    _, place = connected_components(tree.sparse_distance_matrix(tree, SAME, p=np.inf))
+    met = np.unique(np.column_stack([np.repeat(place, 3), labels.ravel()]), axis=0)
+    counts = np.bincount(met[:, 0])
+    codes = np.full((counts.size, counts.max(initial=3)), NO_LABEL, np.int16)
+    codes[np.arange(codes.shape[1]) < counts[:, None]] = met[:, 1]
+    at = points[np.unique(place, return_index=True)[1]]
     order = np.lexsort(at.T[::-1])
     return at[order], codes[order]
 
@@ -122,7 +119,7 @@ def regions_of(rings: list[Ring]) -> list[list[Ring]]:
     for hole in (ring for ring in rings if ring.area <= 0.0):
         place = hole.vertices[0]
         near = np.flatnonzero(((low <= place) & (place <= high)).all(axis=1))
-        around = [regions[k] for k in near if outer[k].label == hole.label and _contains(outer[k], place)]
+        around = [regions[k] for k in near if outer[k].label == hole.label and _goes_around(outer[k], place)]
         if around:
             min(around, key=lambda region: region[0].area).append(hole)
     return regions
@@ -133,13 +130,10 @@ def _ring(label: int, vertices: Floats) -> Ring:
     return Ring(label, vertices, 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
 
 
-def _contains(ring: Ring, point: Floats) -> bool:
-    """Whether a point is within a ring: a ray from it crosses the ring an odd number of times."""
-    (x, y), (begin, end) = point, (ring.vertices[:-1], ring.vertices[1:])
-    crosses = (begin[:, 1] > y) != (end[:, 1] > y)
-    begin, end = begin[crosses], end[crosses]
-    at = begin[:, 0] + (y - begin[:, 1]) / (end[:, 1] - begin[:, 1]) * (end[:, 0] - begin[:, 0])
-    return (at > x).sum() % 2 == 1
+def _goes_around(ring: Ring, point: Floats) -> bool:
+    """Whether a ring goes around a point: seen from there it turns by 2π, or by 0."""
+    seen = (ring.vertices - point) @ [1.0, 1.0j]
+    return abs(np.angle(seen[1:] * seen[:-1].conj()).sum()) > np.pi
 
 
 def _along_frame(point: Floats) -> float:

@@ -365,7 +365,7 @@ def _experiment(e: Evidence) -> Iterator[Claim]:
         f"the label means opposite, initial, initial: Figure 3.2, σr = 5, is {e.nominal.letters}",
         e.nominal.letters == "O I I",
     )
-    column = [point.measured for point in measured.points if point.values[0] == 6.7]  # by rising backlash
+    column = [point.measured for point in measured.points if point.at["load.ratio"] == 6.7]  # by rising backlash
     yield _contradicts(
         "Table 4.1",
         "text: from D(1)+S(1) to D(1)+S(2) and back to D(1)+S(2)",

@@ -19,12 +19,13 @@ import distributed
 import numpy as np
 from distributed import Client, KilledWorker, LocalCluster
 from distributed.utils import silence_logging_cmgr
+from llvmlite.binding import get_host_cpu_name
 
 from clunk.results.files import reason
 from clunk.study.arrays import Cells
 from clunk.sweeping.cells import Flag, Grid, Tile
 from clunk.sweeping.engines import EngineError
-from clunk.sweeping.machine import available_cores, cpu_model, versions
+from clunk.sweeping.machine import available_cores, versions
 from clunk.sweeping.progress import note
 
 _CONNECTING = 4.0  # s
@@ -96,8 +97,8 @@ class Cluster(Executor):
         """The models of the workers' processors: LAPACK, which prepares systems there, may round by them."""
         models = {}
         with suppress(OSError):  # all cells are finished, and the scheduler or a worker has gone since
-            models = self._client.run(cpu_model, on_error="ignore")
-        return "; ".join(sorted(set(models.values()))) or cpu_model()
+            models = self._client.run(get_host_cpu_name, on_error="ignore")
+        return "; ".join(sorted(set(models.values()))) or get_host_cpu_name()
 
     def submit(self, function: Any, /, *arguments: Any, **_options: Any) -> Future[Any]:
         """Run a tile on a worker; `function` is `Grid.run` of a grid."""

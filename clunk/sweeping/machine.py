@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+from llvmlite.binding import get_host_cpu_name
+
 import clunk
 
 _CONTAINER = Path("/sys/fs/cgroup")  # as a container sees its own limits, of cgroups of version 2
@@ -53,16 +55,6 @@ def _limit(name: str, count: int) -> list[float]:
 
 
 @functools.cache
-def cpu_model() -> str:
-    """Model of this machine's processor."""
-    try:
-        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
-            return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
-
-
-@functools.cache
 def versions(package: Path = Path(clunk.__file__).parent) -> dict[str, str]:
     """Versions of all that could change a bit of a cell's results: Python, numpy, scipy, numba, and clunk's sources.
 
@@ -82,5 +74,5 @@ def provenance(engine: Executor | None) -> dict[str, str]:
         "python_version": platform.python_version(),
         **{f"{name}_version": _version(name) for name in ("numpy", "numba", "h5py")},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "cpu": str(getattr(engine, "processors", cpu_model)()),
+        "cpu": str(getattr(engine, "processors", get_host_cpu_name)()),
     }

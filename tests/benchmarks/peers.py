@@ -30,6 +30,7 @@ from typing import NamedTuple
 import events_table
 import figure
 import numpy as np
+from llvmlite.binding import get_host_cpu_name
 
 import clunk
 from clunk.core.events import EVENT
@@ -38,7 +39,6 @@ from clunk.simulation.driveline import Driveline
 from clunk.study.designs import design_of
 from clunk.study.study import replace_values
 from clunk.sweeping import cells
-from clunk.sweeping.machine import cpu_model
 
 CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
 FINE = 401  # cells a side of the large sweep
@@ -277,7 +277,7 @@ def main() -> None:
         table = expected()
         for contestant in rows:
             contestant.check(not options.quick, table)
-    machine = f"{cpu_model()}, {len(os.sched_getaffinity(0))} cores"
+    machine = f"{get_host_cpu_name()}, {len(os.sched_getaffinity(0))} cores"
     report([contestant.row for contestant in rows], machine, repeats)
 
 

@@ -20,6 +20,7 @@ import time
 from array import array
 
 import numpy as np
+from llvmlite.binding import get_host_cpu_name
 
 import clunk
 from clunk.simulation import batches
@@ -31,7 +32,6 @@ from clunk.study.designs import design_of_points
 from clunk.study.parameters import nominal_value
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.machine import cpu_model
 
 try:
     import heyoka as hy
@@ -205,7 +205,8 @@ def main() -> None:
     for pipe in peers:
         pipe.send(None)
 
-    print(f"{cpu_model()}, {len(os.sched_getaffinity(0))} cores; {options.runs} runs, medians of {options.repeats}")
+    machine = f"{get_host_cpu_name()}, {len(os.sched_getaffinity(0))} cores"
+    print(f"{machine}; {options.runs} runs, medians of {options.repeats}")
     print(f"{'':<8}{'cores':>6}{'runs/s':>10}{'runs/s of processor time':>26}")
     medians = {
         case: [options.runs / statistics.median(each) for each in zip(*seconds, strict=True)]
