@@ -74,7 +74,8 @@ def test_a_decay_much_faster_than_what_lasts_is_alone_in_its_pair():
     """A stiff damper makes one of 4e5/s, and beside it one of 0.08/s, which would be bounded by the rate of both."""
     plant = reference.boere(5.0, 6.0)
     first, second, *others = plant.shafts
-    _, flows = driveline.prepare(reference.study_of(replace(plant, shafts=(first, (*second[:3], 400.0), *others))))
+    study = reference.study_of(replace(plant, shafts=(first, (*second[:3], 400.0), *others)))
+    _, flows = driveline.prepare(study, driveline.Driveline.from_study(study))
     assert flows.modal.all()
     rates = np.abs(np.diagonal(flows.generator, axis1=-2, axis2=-1)).reshape(-1, 2, PAIRS)
     slower, faster = rates.min(axis=1), rates.max(axis=1)
@@ -169,7 +170,7 @@ class Flow:
 
     def __init__(self, plant, which):
         study = reference.study_of(plant)
-        system, flows = driveline.prepare(study)
+        system, flows = driveline.prepare(study, driveline.Driveline.from_study(study))
         for field in flows._fields:
             setattr(self, field, getattr(flows, field)[0, which])
         self.which, self.system, self.flows = which, system, flows

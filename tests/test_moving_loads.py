@@ -40,7 +40,8 @@ def test_a_wave_in_resonance(closed, mode, off, contact):
     frequency = float(frequencies(plant, closed)[mode]) * (1.0 + off)
     profile = sine(0.5, frequency) if mode else smooth(0.5 / frequency)
     plant = replace(plant, profile=profile)
-    _, flows = prepare(reference.study_of(plant))
+    study = reference.study_of(plant)
+    _, flows = prepare(study, Driveline.from_study(study))
     if plant.restitution is None or not closed:  # the modes with the lash locked are others
         assert flows.modal[0, int(closed)] == (off > 1e-4)
     both_methods_are_the_reference(plant, 0.3)

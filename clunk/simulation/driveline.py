@@ -210,12 +210,11 @@ class Driveline:
         )
 
 
-def prepare(study: Study, driveline: Driveline | None = None) -> tuple[System, Flows]:
+def prepare(study: Study, driveline: Driveline) -> tuple[System, Flows]:
     """The switched linear system of a study, and the modes of its flows: ready to run by the exact method.
 
-    driveline : with other numbers than the study's; a batch makes a batch of systems and tables
+    driveline : the study's, or one with other numbers; a batch makes a batch of systems and tables
     """
-    driveline = driveline or Driveline.from_study(study)
     system = build(study, driveline, ramps=study.solver.method == "exact")
     return system, _flows(study, driveline, system)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from clunk.core.tables import SLIPS_BACKWARD, SLIPS_FORWARD, STICKS, half_gap_of
 from clunk.core.tile import Cases
-from clunk.simulation.driveline import prepare
+from clunk.simulation.driveline import Driveline, prepare
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import run_of, simulate
 
@@ -15,7 +15,7 @@ def started(study, state=None):
     """The run of a study from a state (θ, θ'), (2n,); in the gap, the nearer flank is the initial one."""
     if state is None:
         return simulate(study)
-    system, (before, pieces), n = prepare(study)[0], run_load(study), len(state) // 2
+    system, (before, pieces), n = prepare(study, Driveline.from_study(study))[0], run_load(study), len(state) // 2
     x, inputs = np.zeros(system.rates.shape[1]), np.ones(system.weights.shape[1])
     x[: 2 * n], inputs[: before.size] = state, before
     regime = np.array([regime_of(system, x, inputs)])
