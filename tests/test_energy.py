@@ -95,7 +95,7 @@ def test_the_terms_are_those_of_the_sampled_motion():
     whole = slice(int(np.flatnonzero(history.event == 0)[0]), None)
     rate, powers = history.velocity[whole], [history.torque[whole] * history.velocity[whole, 0]]
     powers += [c * (rate @ row) ** 2 for row, _, c in Plant().joints()]
-    powers.append(0.6016 * (rate[:, 2] - rate[:, 3]) ** 2 * (history.contact[whole] != 0))
+    powers.append(0.6016 * (rate[:, 2] - rate[:, 3]) ** 2 * (history.contacts[whole, 0] != 0))
     energy = balance(trajectory)
     computed = [energy.work, *energy.damped_in_shafts, energy.damped_in_contact]
     assert computed == pytest.approx(np.trapezoid(powers, history.after_step[whole]), rel=1e-6, abs=1e-10)

@@ -86,7 +86,7 @@ def test_acceleration_balances_the_torques(model):
     sampled = history(model)
     q = sampled.angle[:, 2] - sampled.angle[:, 3]
     rate = sampled.velocity[:, 2] - sampled.velocity[:, 3]
-    side = -run(model).initial_side * sampled.contact.astype(float)
+    side = -run(model).initial_side * sampled.contacts[:, 0].astype(float)
     across = np.where(side == 0.0, 0.0, CONTACT_STIFFNESS * (q - side * HALF_GAP) + CONTACT_DAMPING * rate)
     damping, stiffness = Plant().open_matrices()
     torque = -sampled.velocity @ damping.T - sampled.angle @ stiffness.T
@@ -115,7 +115,7 @@ def test_before_the_load_step_everything_rests_on_the_initial_flank(model):
     for quantity in (sampled.velocity, sampled.acceleration):
         assert not quantity[before].any()
     assert np.all(sampled.torque[before] == -6.0)
-    assert np.all(sampled.contact[before] == -1)
+    assert np.all(sampled.contacts[before, 0] == -1)
     np.testing.assert_array_equal(sampled.angle[before], np.tile(run(model).states[0, :4], (1001, 1)))
     np.testing.assert_allclose(31.3 * sampled.angle[before, 3], -6.0, rtol=1e-12)  # k4 carries the load
     indentation = 0.0 if model == "restitution" else 6.0 / CONTACT_STIFFNESS
@@ -163,7 +163,7 @@ def test_csv_reads_back_equal(tmp_path, model):
         np.testing.assert_array_equal(table[f"theta_ddot_{k + 1}_rad_per_s2"], sampled.acceleration[:, k])
     np.testing.assert_array_equal(table["torque_Nm"], sampled.torque)
     np.testing.assert_array_equal(table["backlash_coordinate_m"], sampled.backlash_coordinate)
-    np.testing.assert_array_equal(table["contact"], sampled.contact)
+    np.testing.assert_array_equal(table["contact"], sampled.contacts[:, 0])
     named = np.flatnonzero(table["event"] != "")
     np.testing.assert_array_equal(named, rows_of_events(sampled))
     primary = named[table["event"][named] == "primary touch"]

@@ -84,7 +84,7 @@ def from_history(run):
     )
     q, speed = angle[:, 2] - angle[:, 3], rate[:, 2] - rate[:, 3]
     stored = lash.radius**2 * lash.contact.stiffness * (np.abs(q) - np.deg2rad(lash.backlash_deg) / 2) ** 2 / 2.0
-    damped = (history.contact != 0) * lash.radius**2 * lash.contact.damping * speed**2
+    damped = (history.contacts[:, 0] != 0) * lash.radius**2 * lash.contact.damping * speed**2
     impacts, rigid = [], history.study.has_rigid_flanks
     limits = [*np.flatnonzero(np.isin(history.event, run.primaries)), history.time.size]
     for rows in map(slice, limits[:-1], limits[1:]):

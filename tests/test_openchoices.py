@@ -60,7 +60,7 @@ def test_flanks_pull_hardest_where_the_gap_opens():
     """2.60 N m, c34 q' at a separation; against the torque k ξ + c ξ' every 10 µs of the nominal run's contacts."""
     trajectory = simulate(load_study(ROOT / "configs/nominal.toml"))
     motion = sample(trajectory, 1e-5, 1.0)
-    side = -trajectory.initial_side * motion.contact.astype(float)
+    side = -trajectory.initial_side * motion.contacts[:, 0].astype(float)
     gap = motion.angle[:, 2] - motion.angle[:, 3]
     speed = motion.velocity[:, 2] - motion.velocity[:, 3]
     torque = np.where(side == 0.0, 0.0, 2618.88 * (side * gap - np.deg2rad(3.0)) + 0.6016 * side * speed)

@@ -65,8 +65,10 @@ TRUCK = reference.Plant(
 
 def steady(plant):
     """Side of the initial flank, angles and speeds."""
-    rest = preload(build(study_of(plant)), np.array([plant.before, plant.backlash / 2]))
-    return int(rest.sides[0]), *np.split(rest.x, 2)
+    system = build(study_of(plant))
+    rest = preload(system, np.array([plant.before, plant.backlash / 2]))
+    assert rest.status == Status.OK
+    return int(system.contacts["side"][rest.regime, 0]), *np.split(rest.x, 2)
 
 
 @pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)

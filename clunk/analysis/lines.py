@@ -3,8 +3,9 @@
 The cells in which labels differ are cut into triangles. Where the ends of an edge differ, a crossing is located
 (`clunk.analysis.search`), if it can be by continuing lines that are known (`Crossings`): they are smooth, and where one
 is expected two runs locate it. One operation refines what is not told well enough, a node on an edge: between two
-crossings of the same edge; on the far edge of a triangle whose line is further from its chord than `CHORD`; and beside
-the crossings on the long edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
+crossings of the same edge; on the far edge of a triangle whose line is further from its chord than `CHORD`, or which
+nodes on its other edges have made flat, as lines that leave by the far edge have no crossing there; and beside the
+crossings on the long edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
 When no line is left to follow, edges with a crossing are asked once for labels hidden beside it (`with_hidden`).
 All that needs crossings to `_NEAR` only. Those that there are in the end are narrowed to the tolerance with the runs
 that are left, so that what lies where comes before its digits.
@@ -24,13 +25,14 @@ from clunk.analysis.search import OFF_FAILURES, POINT, TOLERANCE, Points, narrow
 from clunk.results.labels import FAILED_CODE
 from clunk.study.arrays import Array, Bools, Codes, Floats, Nodes
 
-CHORD = 1e-4  # of the map, that a line may be off its chord
+CHORD = 1.3e-4  # of the map, that a line may be off its chord
 JUNCTION = 5e-8  # of the map, a triangle in which three labels meet
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
 _MOST_ROUNDS = 128
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 4  # on an edge, that are told apart
 _LONG = 0.5  # of a triangle's longest edge
+_FLAT = 0.1  # height over the far edge of a triangle whose other edges have several crossings, where that is cut
 _BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
 _RUNS_PER_CELL, _ON_ANY_MAP = 7, 5_000_000  # the latter over what a run costs
 _TOUCHES = 10  # that take as long as a run without any
@@ -394,9 +396,14 @@ class Lines:
 
     def _refine(self) -> None:
         """Cut edges of new triangles whose lines are located, and not told well enough."""
-        two, three = (corners[self._is_located(corners)] for corners in self.triangles.mixed(only_new=True))
+        two, three = self.triangles.mixed(only_new=True)
         positions = self.triangles.positions
-        two = two[self._is_off_chord(two)]
+        is_located, three = self._is_located(two), three[self._is_located(three)]
+        several, two = two[~is_located], two[is_located]
+        tip, begin, end = positions[several.T]
+        far, length = end - begin, _length(end - begin)
+        is_flat = (length > CHORD) & (np.abs(cross(begin - tip, far)) < _FLAT * length**2)
+        two = np.concatenate([two[self._is_off_chord(two)], several[is_flat]])
         sides = np.stack([three, np.roll(three, -1, axis=1)], axis=2)
         lengths = _length(np.diff(positions[sides], axis=2)[:, :, 0])
         is_large = lengths.max(axis=1, initial=0.0) > JUNCTION
@@ -424,7 +431,7 @@ class Lines:
         """Whether the line in triangles of two labels may be further from its chord than `CHORD`.
 
         It is not where the labels are those of its sides as far from the chord, on the way from the corner of the other
-        label to the middle of the far edge.
+        label through the chord's middle.
         """
         positions = self.triangles.positions[corners]
         ends = self.position(keys_of(corners[:, :1], corners[:, 1:]).ravel()).reshape(-1, 2, 2)
@@ -435,15 +442,14 @@ class Lines:
         if not asked.size or not self._may_run():
             return is_off
         tip, chord = positions[asked, 0], chord[asked]
-        way = positions[asked, 1:].mean(axis=1) - tip
-        slant = cross(chord, way)
-        at, apart = cross(chord, ends[asked, 0] - tip) / slant, CHORD * _length(chord) / np.abs(slant)
+        way = 2.0 * (ends[asked].mean(axis=1) - tip)
+        apart = CHORD * _length(chord) / np.abs(cross(chord, way))
         lines = Crossings(self.brackets, self.runs["outcome"])
         expected, error = lines.continued(tip, way, self.triangles.outcome[corners[asked, :2]], ends[asked]).T
-        is_near = np.abs(expected - at) + error < 0.5 * apart
+        is_near = np.abs(expected - 0.5) + error < 0.5 * apart
         is_off[asked[is_near]] = False
-        asked, tip, way, at, apart = (each[~is_near] for each in (asked, tip, way, at, apart))
-        shares = np.clip(np.stack([at - apart, at + apart], axis=1), 0.0, 1.0)
+        asked, tip, way, apart = (each[~is_near] for each in (asked, tip, way, apart))
+        shares = np.clip(0.5 + apart[:, None] * [-1.0, 1.0], 0.0, 1.0)
         places = tip[:, None] + shares[..., None] * way[:, None]
         labels = self._run(places.reshape(-1, 2))["outcome"].reshape(-1, 2)
         is_off[asked] = (labels != self.triangles.outcome[corners[asked, :2]]).any(axis=1)

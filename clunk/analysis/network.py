@@ -119,7 +119,7 @@ def regions_of(rings: list[Ring]) -> list[list[Ring]]:
     for hole in (ring for ring in rings if ring.area <= 0.0):
         place = hole.vertices[0]
         near = np.flatnonzero(((low <= place) & (place <= high)).all(axis=1))
-        around = [regions[k] for k in near if outer[k].label == hole.label and _goes_around(outer[k], place)]
+        around = [regions[k] for k in near if outer[k].label == hole.label and _goes_around(outer[k].vertices - place)]
         if around:
             min(around, key=lambda region: region[0].area).append(hole)
     return regions
@@ -130,9 +130,9 @@ def _ring(label: int, vertices: Floats) -> Ring:
     return Ring(label, vertices, 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
 
 
-def _goes_around(ring: Ring, point: Floats) -> bool:
-    """Whether a ring goes around a point: seen from there it turns by 2π, or by 0."""
-    seen = (ring.vertices - point) @ [1.0, 1.0j]
+def _goes_around(vertices: Floats) -> bool:
+    """Whether a closed polygon goes around the origin: seen from there it turns by 2π, or by 0."""
+    seen = vertices @ [1.0, 1.0j]
     return abs(np.angle(seen[1:] * seen[:-1].conj()).sum()) > np.pi
 
 

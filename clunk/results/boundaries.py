@@ -78,7 +78,7 @@ class Region(NamedTuple):
 class Boundaries:
     """The boundary network of a regime map over two axes, each vertex right to 1e-9 of its axis's range.
 
-    Where labels change so finely that a tracing's runs do not suffice, it is right to 1e-4 at least, or unresolved.
+    Where labels change so finely that a tracing's runs do not suffice, it is right to 1.3e-4 at least, or unresolved.
 
     axes : of the map
     labels : code -> label; first those of the map, then any that none of its cells has; the code -1 is `failed`

@@ -94,11 +94,6 @@ class History:
         return self.backlash_coordinates[:, self.trajectory.lash]
 
     @property
-    def contact(self) -> Flanks:
-        """(M,) the flank that presses: -1 initial, +1 opposite, 0 none."""
-        return self.contacts[:, self.trajectory.lash]
-
-    @property
     def contact_torque(self) -> Floats:
         """(M,) torque across the lash, signed like q  [N m]."""
         return self.contact_torques[:, self.trajectory.lash]

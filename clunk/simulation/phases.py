@@ -47,7 +47,6 @@ class Preload(NamedTuple):
 
     status: Status
     regime: int
-    sides: Integers  # (L,)  of the initial flanks, 0 for none
     x: Floats  # (N,)  [rad, rad/s]
 
 
@@ -55,7 +54,7 @@ def preload(system: System, inputs: Floats) -> Preload:
     """Steady motion in contact under constant inputs."""
     x = np.zeros(system.rates.shape[1])
     status, regime = switching.preload(system, inputs, x)
-    return Preload(Status(status), regime, system.contacts[regime]["side"] * (status == Status.OK), x)
+    return Preload(Status(status), regime, x)
 
 
 class Stretch(NamedTuple):

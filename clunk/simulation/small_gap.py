@@ -72,7 +72,7 @@ class SmallGap(NamedTuple):
         before[np.arange(before.size) != TORQUE] = 0.0  # without a gap
         after = inputs_of(before, load, -1)
         rest = preload(system, before)
-        if rest.sides[0] == 0 or modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
+        if rest.status != Status.OK or modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
             raise ClunkError(
                 "There is no response to draw: the lash carries no torque before the load step, or the driveline has "
                 "no damped oscillation in contact."
