@@ -308,6 +308,53 @@ def test_an_impact_pulls_nothing_along_by_flanks_that_are_still(torque):
     assert speeds[second] == pytest.approx(share * speeds[first], rel=1e-4)
 
 
+SPLIT = """
+[driveline]
+inertias = [1500.0, 300.0, 120.0, 200.0, 120.0, 210.0]
+shafts = [
+    { between = [1, 2], stiffness = 3e7, damping = 3e4 },
+    { between = [3, 4], stiffness = 8e6, damping = 6000.0 },
+    { between = [5, 6], stiffness = 7e6, damping = 6000.0 },
+    { between = [4, "ground"], stiffness = 0.0, damping = 4000.0 },
+    { between = [6, "ground"], stiffness = 0.0, damping = 3500.0 },
+]
+[[lash]]
+between = [2, 3]
+backlash_deg = 0.8
+radius = 0.25
+contact = { model = "restitution", restitution = 0.4 }
+[[lash]]
+between = [2, 5]
+backlash_deg = 1.2
+radius = 0.25
+ratio = -1.0
+contact = { model = "restitution", restitution = 0.2 }
+[load]
+profile = "step"
+on = 1
+initial_torque = 9e4
+final_torque = -1.5e4
+[solver]
+step = 1e-5
+end_time = 0.8
+"""
+
+
+@pytest.mark.parametrize(("gap", "torque"), [(1.716901778834982, 16343.0472868185), (2.30303868, 21335.3772027)])
+def test_impacts_of_two_branches_on_one_shaft_die_out(gap, torque):
+    """Each touch of one lash parts the other by less than rounding tells, and that must not make its next touch faster.
+
+    A touch that came of the rounding of the gap alone, faster than at what touches lock, kept both going without end.
+    """
+    keys = [f"lash[2].backlash_deg={gap}", f"load.initial_torque={torque}"]
+    methods = [f'solver.method="{method}"' for method in ("exact", "rk4")]
+    runs = [simulate(study_from_text(SPLIT, overrides=[*keys, method])) for method in methods]
+    assert runs[0].label == runs[1].label
+    for run in runs:
+        assert balance(run).relative_residual < 1e-9
+        assert np.count_nonzero(run.events["kind"] == TOUCH) < 100
+
+
 @pytest.mark.parametrize("method", ["exact", "rk4"])
 def test_rigid_flanks_have_no_extremes_of_an_acceleration_that_their_impacts_make_infinite(method):
     rigid = ['lash.contact.model="restitution"', "lash.contact.restitution=0.5"]

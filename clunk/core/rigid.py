@@ -82,10 +82,10 @@ def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds:
     """
     system, events = at.system, log.events
     for other in range(system.lash_count):
-        twist, size = rubbing.twist_of(system, system.lashes[other], at.x)
+        twist, _ = rubbing.twist_of(system, system.lashes[other], at.x)
         its_speed = speed_of(system, other, at.x)
         gap = at.inputs[gap_input(other)]
-        moved = _APART * (gap + size + _SWING)  # by `_part_by`, this lash or the one that touches
+        moved = _APART * _terms_of_gap(at, other)  # by `_part_by`, this lash or the one that touches
         is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 2.0 * moved
         is_near &= abs(its_speed) > _STILL * log.courses[lash].fastest
         if other == lash or system.contacts[regime, other].closed or not is_near:
@@ -242,8 +242,14 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
 @part
 def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
     """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
-    gap, (_, size) = at.inputs[gap_input(lash)], rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
-    _hold(at.system, held, lash, at.x, side * (gap - share * (gap + size + _SWING)))
+    _hold(at.system, held, lash, at.x, side * (at.inputs[gap_input(lash)] - share * _terms_of_gap(at, lash)))
+
+
+@inlined_part
+def _terms_of_gap(at: Moment, lash: int) -> float:
+    """Size of the terms of a lash's gap, by which it is rounded, now and as the motion goes on  [rad]."""
+    _, size = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
+    return at.inputs[gap_input(lash)] + size + _SWING
 
 
 @part
@@ -255,10 +261,10 @@ def _locking_speed(at: Moment, log: Log, regime: int, lash: int, speed: float) -
     """
     tolerance, course = at.system.locking_speed[lash], log.courses[lash]
     course.fastest = max(course.fastest, abs(speed))
-    # a rebound lower than the rounding of the gap cannot be followed
+    # a rebound lower than the rounding of the gap cannot be followed; flanks that `_part_by` moved fall through as much
+    # at half this speed
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
-    _, place = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
-    return max(tolerance, -tolerance * course.fastest, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
+    return max(tolerance, -tolerance * course.fastest, np.sqrt(8.0 * abs(pull) * ROUNDING * _terms_of_gap(at, lash)))
 
 
 @part
