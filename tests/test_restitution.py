@@ -351,8 +351,8 @@ def test_impacts_of_two_branches_on_one_shaft_die_out(gap, torque):
     runs = [simulate(study_from_text(SPLIT, overrides=[*keys, method])) for method in methods]
     assert runs[0].label == runs[1].label
     for run in runs:
-        assert balance(run).relative_residual < 1e-9
-        assert np.count_nonzero(run.events["kind"] == TOUCH) < 100
+        assert balance(run).relative_residual < 1e-11  # 4e-13 by 8e4 steps of rk4
+        assert np.count_nonzero(run.events["kind"] == TOUCH) < 100  # 75 and 95 are few beside 30,000, without end
 
 
 @pytest.mark.parametrize("method", ["exact", "rk4"])

@@ -32,7 +32,7 @@ _MOST_ROUNDS = 128
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 4  # on an edge, that are told apart
 _LONG = 0.5  # of a triangle's longest edge
-_FLAT = 0.1  # height over the far edge of a triangle whose other edges have several crossings, where that is cut
+_FLAT = 0.1  # of the far edge, the height over it of a triangle with several crossings on another edge, where it is cut
 _BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
 _RUNS_PER_CELL, _ON_ANY_MAP = 7, 5_000_000  # the latter over what a run costs
 _TOUCHES = 10  # that take as long as a run without any
@@ -395,7 +395,7 @@ class Lines:
         self.runs = np.concatenate([self.runs, runs])[order]
 
     def _refine(self) -> None:
-        """Cut edges of new triangles whose lines are located, and not told well enough."""
+        """Cut edges of new triangles whose lines are located, and not told well enough, or that have become flat."""
         two, three = self.triangles.mixed(only_new=True)
         positions = self.triangles.positions
         is_located, three = self._is_located(two), three[self._is_located(three)]
