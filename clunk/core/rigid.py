@@ -49,15 +49,20 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     events[count].lash, events[count].speed, events[count].side = lash, speed, side
     touches = events[count : _note_touches_beside(at, log, before, lash, rebounds, count)]
     _strike_together(system, held, rebounds, x, touches)
-    touched, resting = 0, held
-    for touch in touches:
-        if touches.size > 1:  # or they would touch apart as they become slow
-            _place(system, held, touch.lash, x, 0, touch.side * at.inputs[gap_input(touch.lash)])
-        if not rebounds:
-            _hold(system, resting, touch.lash, x, touch.side * at.inputs[gap_input(touch.lash)])
-        touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
+    touched, stops = 0, system.friction_count > 0 and abs(speed) <= _rounded_speed(at, regime, lash)
+    for _ in range(_MOST_IMPULSES if stops else 1):
+        if stops:  # or what stuck would slip, part the flanks, and touch again, slower and slower, without end
+            rubbing.stop_all(system, regime, x)
+            keep_locked(system, regime, x, at.inputs)
+        touched, resting = 0, held
+        for touch in touches:
+            if touches.size > 1:  # or they would touch apart as they become slow
+                _place(system, held, touch.lash, x, 0, touch.side * at.inputs[gap_input(touch.lash)])
+            if not rebounds:
+                _hold(system, resting, touch.lash, x, touch.side * at.inputs[gap_input(touch.lash)])
+            touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
     if system.friction_count > 0:
-        regime = rubbing.in_motion(system, regime, abs(speed), x)
+        regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN if stops else abs(speed), x)
         rubbing.stick_all(system, x, at.inputs)
     for touch in touches:
         record(at, log, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
@@ -189,7 +194,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     for lash in lashes:
         side, now = system.contacts[before, lash].side, system.contacts[successor, lash].side
         others = resting & ~(1 << lash)
-        if side == 0 and resting >> lash & 1:  # or releasing others would move it by rounding
+        if side == 0 and others & ~held and resting >> lash & 1:  # or releasing these would move it by rounding
             twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
             _part_by(_APART, at, others, lash, 1 if twist > 0.0 else -1)
         if side in (0, now):
@@ -261,10 +266,15 @@ def _locking_speed(at: Moment, log: Log, regime: int, lash: int, speed: float) -
     """
     tolerance, course = at.system.locking_speed[lash], log.courses[lash]
     course.fastest = max(course.fastest, abs(speed))
-    # a rebound lower than the rounding of the gap cannot be followed; flanks that `_part_by` moved fall through as much
-    # at half this speed
+    # flanks that `_part_by` moved fall through the rounding of the gap at half the latter
+    return max(tolerance, -tolerance * course.fastest, _rounded_speed(at, regime, lash))
+
+
+@part
+def _rounded_speed(at: Moment, regime: int, lash: int) -> float:
+    """The speed at which a rebound in a regime is as low as the rounding of the gap: it cannot be followed  [rad/s]."""
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
-    return max(tolerance, -tolerance * course.fastest, np.sqrt(8.0 * abs(pull) * ROUNDING * _terms_of_gap(at, lash)))
+    return np.sqrt(8.0 * abs(pull) * ROUNDING * _terms_of_gap(at, lash))
 
 
 @part

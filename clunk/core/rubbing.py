@@ -70,6 +70,14 @@ def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
 
 
 @part
+def stop_all(system: System, regime: int, x: FloatArray) -> None:
+    """Make the rates of twist zero of frictions that stick in a regime, which change by less than rounding tells."""
+    for k in range(system.friction_count):
+        if system.friction_states[regime, k] == STICKS:
+            _speed_up(system, system.frictions[k], -_rate(system, system.frictions[k], 0.0, x)[0], x)
+
+
+@part
 def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
     """The regime in which each friction whose rate of twist is not zero slips that way, and the others stick.
 
@@ -141,13 +149,18 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             else:
-                weights, n = 0.0, system.inertias
-                kick = _KICK * way * (most + _STARTING_TIME * size) - rate
-                for j in range(n, 2 * n):
-                    weights += row[j] ** 2
-                for j in range(n, 2 * n):
-                    x[j] += kick * row[j] / weights
+                _speed_up(system, row, _KICK * way * (most + _STARTING_TIME * size) - rate, x)
     return best, zero_guard, zero_order
+
+
+@part
+def _speed_up(system: System, row: FloatArray, kick: float, x: FloatArray) -> None:
+    """Add a kick to the rate, a row (N,) times the state  [rad/s]."""
+    weights, n = 0.0, system.inertias
+    for j in range(n, 2 * n):
+        weights += row[j] ** 2
+    for j in range(n, 2 * n):
+        x[j] += kick * row[j] / weights
 
 
 @part
