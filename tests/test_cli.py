@@ -306,6 +306,20 @@ def test_modes_prints_the_report_s_numbers_and_names_what_each_mode_moves(comman
     assert [sum(shares) for shares in record["closed"]["kinetic_energy_share"]] == pytest.approx([1.0] * 4)
 
 
+def test_modes_of_rigid_flanks_and_of_what_does_not_swing_are_told_in_words(command, here):
+    (here / "study.toml").write_text(
+        '[driveline]\ninertias = [1.0, 2.0]\nshafts = [{ between = [2, "ground"], damping = 1.0 }]\n'
+        "[lash]\nbetween = [1, 2]\nbacklash_deg = 1.0\nradius = 0.1\n"
+        'contact = { model = "restitution", restitution = 0.5 }\n'
+        "[load]\non = 1\ninitial_torque = 5.0\nfinal_torque = -1.0\n[solver]\nend_time = 1.0\n"
+    )
+    code, out, _ = command("modes", "study.toml")
+    assert code == 0
+    assert out.count("  nothing oscillates") == 2
+    assert re.search("T_c +none: rigid flanks stick where they lock", out)
+    assert "\n\n\n" not in out
+
+
 @pytest.mark.parametrize("name", ["modes", "simulate"])
 def test_tables_of_a_long_driveline_fit_a_terminal(command, name):
     _, out, err = command(name, ROOT / "configs/car_tip_out.toml")

@@ -16,6 +16,7 @@ from hypothesis import given, strategies as st
 from test_plot import assert_texts_do_not_overlap, box_of, notes
 
 from clunk.analysis.comparison import (
+    Difference,
     DifferingCell,
     Transition,
     compare,
@@ -114,6 +115,14 @@ def test_differing_cells_are_counted_by_transition_and_found_by_their_values() -
     ]
     assert not comparison.same_regimes
     assert "3 of 6 cells differ (50 %)" in text_of(comparison)
+
+
+def test_a_cell_at_zeros_is_told_and_counts_of_nothing_are_not() -> None:
+    difference = Difference("severity", 1.0, "rad/s²", 0.5, place(0.0, 0.0))
+    told = " ".join(text_of(difference).split())
+    assert all(f"{key} = 0" in told for key in place(0.0, 0.0))
+    a = small([["SS(1)", "DS(1)", "DS(1)"], ["SS(1)", "SS(1)", "DS(2)"]])
+    assert "not compared" not in text_of(compare(a, a))
 
 
 labels_of_a_map = st.lists(st.sampled_from(["NI", "SS(1)", "DS(1)", "failed"]), min_size=6, max_size=6)

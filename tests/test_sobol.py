@@ -37,6 +37,7 @@ STRUCTURAL = (
     "driveline.inertias[4]",
     "driveline.shafts[3].stiffness",
 )
+BETWEEN = {"spline": '["motor", "flange"]', "gear": '["pinion", "ring"]'}
 DRIVING = {key: SPREAD[key] for key in ("load.ratio", "lash.backlash_deg")}
 LOOSE_RADIUS = '[[sweep.tolerances]]\nparameter = "lash.radius"\ndistribution = "normal"\nstd = 1e-4\n'
 NEAR_A_BOUNDARY = {  # at σr = 5 between DS(2) and DS(1)SS(1), which is at 3.75°
@@ -207,6 +208,17 @@ def test_where_nothing_happens_the_last_event_is_at_the_load_step():
 def test_a_lash_that_there_is_not_is_refused_in_a_sentence():
     with pytest.raises(ClunkError, match="there is no lash 2"):
         sensitivity(study(DRIVING), lash=2)
+
+
+def test_of_several_lashes_the_one_that_is_meant_is_named(command, here):
+    lash = 'name = "{}"\nbacklash_deg = 6.0\nradius = 0.08\ncontact = {{ stiffness = 4.092e5, damping = 94.0 }}\n'
+    two = [f"[[lash]]\nbetween = {between}\n{lash.format(name)}" for name, between in BETWEEN.items()]
+    point = POINT.replace("[lash]\nbacklash_deg = 6.0\n", "".join(two))
+    (here / "config.toml").write_text(text({"load.ratio": SPREAD["load.ratio"]}, count=16, point=point))
+    code, out, _ = command("sensitivity", "config.toml", "--lash", "gear", "--of", "touches")
+    assert code == 0
+    assert re.search("^lash +gear$", out, re.MULTILINE)
+    assert sensitivity(study({"load.ratio": SPREAD["load.ratio"]}, count=16)).lash == ""
 
 
 def test_a_draw_that_the_config_s_own_check_did_not_see_is_refused_too():

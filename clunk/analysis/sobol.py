@@ -78,6 +78,7 @@ class Sensitivity(Record):
     parameters : (d,) str, dotted keys
     samples : int, n
     runs : int, n (d + 2)
+    lash : name of the lash whose outcome it is; empty where there is one
     label : of the run without tolerances
     labels : each label's share of the 2 n runs of A and B, the most frequent first
     indices : of each quantity
@@ -88,6 +89,7 @@ class Sensitivity(Record):
     indices: tuple[Indices, ...]
     samples: int = told("samples")
     runs: int = told("runs")
+    lash: str = told("lash")
     label: str = told("label without tolerances")
     labels: dict[str, float] = told("labels with tolerances", form=".2%")
 
@@ -159,7 +161,7 @@ def sensitivity(
     'lash.contact.stiffness'
     """
     point = operating_point(study)
-    lash_position(lash, study.lash_names)  # before any run, or it is refused
+    position = lash_position(lash, study.lash_names)  # before any run, or it is refused
     hardness = "approach_velocity" if point.has_rigid_flanks else "severity"
     names = [of] if isinstance(of, str) else of or (hardness, "nominal_label")
     parameters = tuple(draw.parameter for draw in point.swept.tolerances)
@@ -193,6 +195,7 @@ def sensitivity(
         parameters=parameters,
         samples=n,
         runs=n * pages,
+        lash=study.lash_names[position] * (len(study.lashes) > 1),
         label=label,
         labels={text: count / base.size for text, count in labels},
         indices=indices,

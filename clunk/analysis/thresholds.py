@@ -264,7 +264,7 @@ def thresholds(
         above=high["outcome"],
         runs=point_runs.count,
         failures=point_runs.failures,
-        lash=study.lash_names[position] if len(study.lashes) > 1 else "",
+        lash=study.lash_names[position] * (len(study.lashes) > 1),
     )
 
 

@@ -49,12 +49,15 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
         click.echo(f"shaft {k} in stage {stage}, as before the load step")
     for state, view in views.items():
         click.echo(f"{'all lashes' if several else 'lash'} {state}")
-        tables.print_table(_rows(view, driveline.names))
+        if view.frequency.size:
+            tables.print_table(_rows(view, driveline.names))
+        else:
+            click.echo("  nothing oscillates")
         if rates := view.overdamped.tolist():
             click.echo(f"  not oscillating, decay rates [1/s]: {', '.join(f'{rate:.4g}' for rate in rates)}")
         click.echo()
     values = [("shuffle", f"mode {shuffle} of the closed lash" if shuffle else "none")]
-    values += [(f"contact period T_c{f', {name}' * several}", f"{1e3 * time:.2f} ms") for name, time in periods.items()]
+    values += [(f"contact period T_c{f', {name}' * several}", _period(time)) for name, time in periods.items()]
     tables.print_values(values)
     if ratios:
         click.echo(
@@ -68,6 +71,10 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
             ]
         )
         click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
+
+
+def _period(time: float) -> str:
+    return f"{1e3 * time:.2f} ms" if time else "none: rigid flanks stick where they lock"
 
 
 def _rows(modes: Modes, names: tuple[str, ...]) -> list[dict[str, str]]:

@@ -229,7 +229,7 @@ def explained(study: Study, status: Status) -> str:
             key = f"driveline.shafts[{np.flatnonzero(shares)[0] + 1}]"
             return (
                 f"no steady motion before the load step: {key} slips as the driveline rolls, where its friction would "
-                f"carry nothing; give it {key}.damping instead of {key}.friction"
+                f"carry nothing; leave out {key}.friction, and give it {key}.damping if something resists the rolling"
             )
     if driveline.rigid_motion.shape.shape[1] <= 1:
         if all(shaft.stiffness.all() for _, shaft in driveline.staged):

@@ -239,7 +239,7 @@ def _is_number(text: str) -> bool:
 def _is_empty(value: Any) -> bool:
     """Whether there is nothing to tell people."""
     if isinstance(value, Mapping):
-        return not any(value.values())
+        return all(type(item) is int and not item for item in value.values())  # counts of nothing
     return value is None or (isinstance(value, str | list | tuple) and not value)
 
 
