@@ -47,17 +47,15 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
 
     files.check(output, files.PICTURES)
     results = read_results(a)
-    other = None if is_experiment(b) else read_results(b)
-    results = results.of_lash() if other is None else results
+    first, other = results.of_lash(), None if is_experiment(b) else read_results(b)
     comparison: Any  # of two maps, or of a map and measurements
-    comparison = compare_experiment(results, read_experiment(b)) if other is None else compare_maps(results, other)
+    comparison = compare_experiment(first, read_experiment(b)) if other is None else compare_maps(results, other)
     if not as_json:
         click.echo(f"A  {a}\nB  {b}\n")
     tables.tell(comparison, as_json)
     if output is not None:
         from clunk.plot.analyses import difference_map, experiment_map
 
-        first = results.of_lash()
         if other is None:
             figure = experiment_map(first, comparison)
         else:

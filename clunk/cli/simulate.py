@@ -155,8 +155,7 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
     from clunk.simulation.energy import balance
 
     primaries = {k for each in trajectory.lashes for k in each.primaries.tolist()}
-    several, names = len(trajectory.lashes) > 1, trajectory.study.lash_names
-    measures = _measures(trajectory.study)
+    several, measures = len(trajectory.lashes) > 1, _measures(trajectory.study)
     of_lashes = {
         name: {
             "label": each.label,
@@ -166,7 +165,7 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
             "margin": each.margin,
             "measures": measures[name],
         }
-        for name, each in zip(names, trajectory.lashes, strict=True)
+        for name, each in zip(trajectory.study.lash_names, trajectory.lashes, strict=True)
     }
     return tables.of_lashes(of_lashes) | {
         "complete": trajectory.complete,

@@ -75,25 +75,24 @@ def sweep(
             with opening as engine:
                 result = job.run(engine, progress=True)
         if traces:
-            failed = _trace(job, result, study, lash, workers, as_json)
+            _trace(job, result, study, lash, workers, as_json)
         else:
             job.finish(result)
-            failed = _report(result, job, as_json)
+            _report(result, job, as_json)
         if job.held is None:
             terminal.say_written(target)
-    if failed:
+    if (result.status != 0).any():
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None, as_json: bool) -> bool:
-    """Print a finished map, add its boundaries, and say how many there are; returns whether any run has failed."""
+def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None, as_json: bool) -> None:
+    """Print a finished map, add its boundaries, and say how many there are."""
     from clunk.analysis.boundaries import with_boundaries
 
-    began, failed = time.perf_counter(), False
+    began = time.perf_counter()
 
     def addition(result: AnyMap) -> AnyMap:  # the map is kept also where nothing can be printed
-        nonlocal failed
-        failed = _report(result, job, as_json)
+        _report(result, job, as_json)
         return with_boundaries(study, result, lash=lash, workers=workers, progress=True)
 
     traced = job.finish(result, addition)
@@ -102,11 +101,10 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
         terminal.complain(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s")
         if traced.boundaries.unresolved_sentence:
             terminal.complain(traced.boundaries.unresolved_sentence)
-    return failed
 
 
-def _report(result: AnyMap, job: Job, as_json: bool) -> bool:
-    """Print a finished map; returns whether any run has failed."""
+def _report(result: AnyMap, job: Job, as_json: bool) -> None:
+    """Print a finished map."""
     from clunk.results.maps import ToleranceMap
 
     draws = result.draws if isinstance(result, ToleranceMap) else 0
@@ -122,4 +120,3 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> bool:
     terminal.report_failures(result, " for some draws" if draws else "")
     for caveat in result.caveats:
         terminal.complain(f"note: {caveat}")
-    return bool((result.status != 0).any())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -65,12 +65,9 @@ class _SafeStream:
 @contextmanager
 def safe_output() -> Iterator[None]:
     """Make everything safe that is printed within: titles, names and labels may come out of files of others."""
-    streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (cast("TextIO", _SafeStream(stream)) for stream in streams)
-    try:
+    out, err = (cast("TextIO", _SafeStream(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
         yield
-    finally:
-        sys.stdout, sys.stderr = streams
 
 
 def complain(message: str) -> None:

@@ -41,7 +41,7 @@ def adjustable(study: Study, swept: set[str]) -> dict[str, float]:
         plain = re.sub(r"^lash\[\d+\]", "lash", key)
         return _FIRST.index(plain) if plain in _FIRST else len(_FIRST)
 
-    return dict(sorted(known.items(), key=lambda item: rank(item[0])))
+    return {key: known[key] for key in sorted(known, key=rank)}
 
 
 def slider_range(value: float, key: Key) -> tuple[float, float, float]:
@@ -99,11 +99,9 @@ class Controls:
     def _add_axis(self, axis: ResultAxis) -> None:
         values, own = axis.values, math.nan if axis.parameter == RUN else nominal_value(self._study, axis.parameter)
         first = own if values.min() <= own <= values.max() else values[len(values) // 2]
-
-        title = title_of(axis.name, axis.symbol, axis.unit)
         self._add_row(
             axis.parameter,
-            title,
+            title_of(axis),
             lambda _: (0, len(values) - 1, 1),
             first,
             lambda value: axis.nearest(np.clip(value, values.min(), values.max())),
@@ -115,14 +113,13 @@ class Controls:
         """Add a number, if it has no slider."""
         if key not in self._config or key in self._changes:
             return
-        described, (_, allowed, value) = quantity(key), located(self._study, key)
-        title = title_of(described.name, described.symbol, described.unit)
+        _, allowed, value = located(self._study, key)
         exact: Callable[[float], float] = (lambda number: float(round(number))) if allowed.whole else float
 
         def is_allowed(number: float) -> bool:
             return allowed.allows(number) and (number == 0.0 or 1.0 / LARGEST_SIZE <= abs(number) <= LARGEST_SIZE)
 
-        self._add_row(key, title, partial(slider_range, key=allowed), value, exact, exact, is_allowed)
+        self._add_row(key, title_of(quantity(key)), partial(slider_range, key=allowed), value, exact, exact, is_allowed)
         names = [(each, f"{quantity(each).name}  ({each})") for each in self._config if each not in self._changes]
         self._more.update(options=[("", "another number …"), *names], value="", visible=bool(names))
         self.layout.children = [*(row for row in self.layout.children if row is not self._more), self._more]

@@ -32,7 +32,9 @@ from clunk.results.quantities import YES_NO
 from clunk.simulation.history import History
 from clunk.study.arrays import Floats, LabelCodes
 from clunk.study.axes import ResultAxis
+from clunk.study.errors import ClunkError
 from clunk.study.records import html_table
+from clunk.study.tables import Quantity
 
 RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the run that is shown, and of those that are pinned
 _PIXELS = 640  # of an image, across and upward
@@ -42,7 +44,6 @@ _SHADES = 256
 _CLOSEST = 1e-9  # that a figure can be zoomed in to: of an axis, or s
 _ABOVE = 0.05  # of a curve's height, left free above and below it
 _COLUMNS = 800  # spans of time that a screen tells apart
-_BESIDE = 80, 32  # pixels left and right of all panels, so that their time axes lie under each other
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 _TEXT = {"text_font_size": "11px"}
 
@@ -90,7 +91,7 @@ class MapFigure:
         self._axes = axes
         look: dict[str, Any] = {}
         for which, axis in zip("xy", axes, strict=False):
-            look[f"{which}_axis_label"] = title_of(capital(axis.name), axis.symbol, axis.unit)
+            look[f"{which}_axis_label"] = capital(title_of(axis))
             look[f"{which}_axis_type"] = "log" if axis.is_geometric else "linear"
             low, high = float(axis.values.min()), float(axis.values.max())
             least = _CLOSEST * (low if axis.is_geometric else high - low)
@@ -166,7 +167,7 @@ class MapFigure:
         if shades is None and layers.paint is None:
             pixels[..., :3] = layers.colours_of(regions)
         else:
-            cells = np.ix_(*(cells_of(axis, at) for axis, at in zip(layers.view.axes, (x, y), strict=True)))
+            cells = np.ix_(*map(cells_of, layers.view.axes, (x, y)))
             pixels[..., :3] = np.rint(cell_colours(layers, shades)[cells].swapaxes(0, 1))
         (left, width), (low, height) = ((axis.values[0], np.ptp(axis.values)) for axis in layers.view.axes)
         # one line with gaps: each of a hundred lines would be two buffers of the message
@@ -200,18 +201,15 @@ class MapFigure:
 
     def nearest(self, x: float, y: float = 0.0) -> Cell | None:
         """Values of the axes in the cell at a point; None beyond the map."""
-        cell = []
-        for axis, value in zip(self._axes, (x, y), strict=False):
-            if not axis.values.min() <= value <= axis.values.max():
-                return None
-            to, _ = ruler(axis)
-            cell.append(float(axis.values[np.argmin(np.abs(to(axis.values) - to(value)))]))
-        return tuple(cell)
+        try:
+            return tuple(float(axis.values[axis.nearest(at)]) for axis, at in zip(self._axes, (x, y), strict=False))
+        except ClunkError:
+            return None
 
 
-def title_of(name: str, symbol: str, unit: str) -> str:
-    """A quantity with its short symbol and its unit."""
-    return " ".join(part for part in (name, bare(symbol), f"[{unit}]" if unit != "1" else "") if part)
+def title_of(of: ResultAxis | Quantity) -> str:
+    """An axis or a quantity with its short symbol and its unit."""
+    return " ".join(filter(None, (of.name, bare(of.symbol), f"[{of.unit}]" if of.unit != "1" else "")))
 
 
 def _legend(layers: Layers) -> str:
@@ -313,7 +311,6 @@ class RunFigures:
         self.message = Message({**models, **own})
 
     def _figure(self, panel: _Panel) -> Any:
-        around = dict(zip(("min_border_left", "min_border_right"), _BESIDE, strict=True))
         plot = figure(
             name=panel.name,
             x_range=self._time,
@@ -327,7 +324,8 @@ class RunFigures:
             min_height=int(64 * panel.share),
             styles={"flex": f"{panel.share} 1 0"},
             margin=0,
-            **around,
+            min_border_left=80,  # of all panels, so that their time axes lie under each other
+            min_border_right=32,
         )
         plot.update(min_border_bottom=2, min_border_top=2, outline_line_color=None)
         plot.toolbar.logo = None

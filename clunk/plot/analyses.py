@@ -140,15 +140,16 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
     figure = style.new_figure()
     ax = figure.subplots()
     tints = style.shades(len(thresholds.words))
-    fills = [style.colour_of(word) if isinstance(word, str) else tints[k] for k, word in enumerate(thresholds.words)]
+    fills = {FAILED_CODE: style.FAILED_FILL}
+    for code, word in enumerate(thresholds.words):
+        fills[code] = style.colour_of(word) if isinstance(word, str) else tints[code]
     drawn, curves, seen = "thresholds of", [], set()
     shares, colours = [1.0], [INK]
     if nominal is not None:
         drawn = f"share of {study.swept.sampling.count:,} drivelines"
         shares, colours = thresholds.axes[-1].values.tolist(), [*LINE_COLOURS[1:]]
     for (rank, k), colour in zip(enumerate(np.argsort(shares)), cycle(colours), strict=False):
-        paler = {code: style.tint(fill, (rank + 1.0) / len(shares)) for code, fill in enumerate(fills)}
-        paler[FAILED_CODE] = style.tint(style.FAILED_FILL, (rank + 1.0) / len(shares))
+        paler = {code: style.tint(fill, (rank + 1.0) / len(shares)) for code, fill in fills.items()}
         seen |= _draw_bands(ax, thresholds, x, paler, slice(k, None, len(shares)), color=colour)
         curves.append(Line2D([], [], color=colour, linewidth=1.6, label=f"in {100.0 * shares[k]:g} %"))
     if nominal is not None:
@@ -158,7 +159,7 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
     fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis) == 1]
     notes = []
     for code in sorted(seen, key=lambda code: (primary_impacts(str(thresholds.word(code))), code)):
-        notes.append(style.swatch(words(thresholds.word(code)), [*fills, style.FAILED_FILL][code]))
+        notes.append(style.swatch(words(thresholds.word(code)), fills[code]))
     line = "; ".join([f"{drawn}: {plain.outcome.heading_with_unit}", *fixed])
     style.lay_out(figure, ax, study.title, line, [*notes, *(curves if nominal else [])])
     return figure
@@ -222,7 +223,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     if not drawn:
         raise style.PlotError("There are no indices to draw: every quantity is the same in all runs, or nearly.")
     parameters = [*drawn[0][1]]
-    axes, places = [*map(quantity, parameters)], np.arange(len(parameters))
+    places = np.arange(len(parameters))
     figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))
     for ax, (heading, shares) in zip(panels, drawn, strict=True):
         ordered = [vars(shares[parameter]) for parameter in parameters]
@@ -232,7 +233,10 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
         ax.axvline(0.0, color=INK, linewidth=0.8)
         ax.set_title(fill(style.capital(heading)), loc="left", fontsize=9.0)
         style.tidy(ax, "x")
-    names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
+    names = [
+        f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}"
+        for axis in map(quantity, parameters)
+    ]
     panels[0].set_yticks(places, names)
     panels[0].set_ylim(len(parameters) - 0.5, -0.5)
     panels[-1].set_xlabel(f"Share of the variance, with {100 * CONFIDENCE:g} % intervals")

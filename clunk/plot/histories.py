@@ -79,8 +79,10 @@ def _look_closely(ax: Axes, runs: Runs) -> None:
     impact, side = first.impacts[0].begin, first.touches.side[np.argmax(first.touches.primary)]
     begin = np.floor((impact - _BEFORE) / _TICK) * _TICK  # the axis begins at a tick
     end = begin + _CLOSE
-    near = [side * 1e3 * run.backlash_coordinate[(run.time >= impact) & (run.time <= end)] for run in runs]
-    low, high = np.concatenate(near).min(), np.concatenate(near).max()
+    near = np.concatenate(
+        [side * 1e3 * run.backlash_coordinate[(run.time >= impact) & (run.time <= end)] for run in runs]
+    )
+    low, high = near.min(), near.max()
     height = max(high - low, 1e-9)
     ax.set(xlim=(begin, end), ylim=sorted((side * (low - 0.2 * height), side * (high + 0.22 * height))))
 

@@ -184,7 +184,7 @@ class Layers:
         codes = regions_of[self.codes]
         around = sliding_window_view(np.pad(codes, 1, "edge"), (3,) * codes.ndim).reshape(*codes.shape, -1)
         meets = np.ptp(around, axis=-1) > 0
-        places = tuple(cells_of(axis, at) for axis, at in zip(self.view.axes, self.unresolved.T, strict=True))
+        places = tuple(map(cells_of, self.view.axes, self.unresolved.T))
         names, colours = (tuple(looks[number][k] for number in present.tolist()) for k in (0, 1))
         return replace(
             self,
@@ -265,10 +265,11 @@ class Layers:
         def text(name: str, count: str) -> str:
             return f"{name}: {count}" if is_counted else name
 
-        regions = zip(self.names, self.colours, self.shares.tolist(), strict=False)
-        shown = set(names) & set(self.seen)
-        shares = ((name, colour, f"{100 * share:.{2 if share < 0.995 else 4}g} %") for name, colour, share in regions)
-        notes = [Note(text(name, share), colour) for name, colour, share in shares if name in shown]
+        notes = [
+            Note(text(name, f"{100 * share:.{2 if share < 0.995 else 4}g} %"), colour)
+            for name, colour, share in zip(self.names, self.colours, self.shares.tolist(), strict=False)
+            if name in names and share >= _SEEN
+        ]
         if self.shaded and (np.isnan(self.values) & ~self.failed).any():
             why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
             notes.append(Note(why, UNDEFINED))
@@ -317,8 +318,7 @@ class Layers:
         """Regions (y, x) at ascending pixels along the axes, of a strip the same at every y."""
         if len(self.view.axes) < 2:
             return np.broadcast_to(self.codes[cells_of(self.view.x, x)], (len(y), len(x)))
-        columns, rows = (cells_of(axis, at) for axis, at in zip(self.view.axes, (x, y), strict=True))
-        cells = self.codes[np.ix_(columns, rows)].T
+        cells = self.codes[np.ix_(*map(cells_of, self.view.axes, (x, y)))].T
         # A hole is filled by what is in it, which is painted after what is around it.
         image = Image.fromarray(cells.astype(np.int32))
         draw = ImageDraw.Draw(image)

@@ -167,7 +167,7 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
     values, or not two axes are left for the maps.
     """
     facets = numbered(facets, results.tables)
-    changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
+    changing = {axis.parameter: axis for axis in drawn_axes(results)}
     if len(facets) > len(MOST_VALUES) or len(set(facets)) < len(facets) or not changing.keys() >= set(facets):
         raise PlotError(
             f"A facet is an axis of several values, or two are rows and columns; these are {', '.join(changing)}."

@@ -71,7 +71,7 @@ def _part(part: AnyMap, lash: str) -> Iterator[str]:
     thresholds = thresholds_of(part)
     if part.lashes:
         yield f"<h2>{escape(lash)}</h2>"
-    _, surplus = parted_axes([part.axes[index] for index in drawn_axes(part)])
+    _, surplus = parted_axes(drawn_axes(part))
     facets = [axis.parameter for axis in surplus[: len(MOST_VALUES)]]
     for name in default_quantities(part, facets=facets):
         yield _svg(draw(part, name, thresholds, facets=facets), name)

@@ -45,7 +45,7 @@ class View:
 
         Raises PlotError where the map has more axes, or other parameters.
         """
-        swept = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
+        swept = [axis.parameter for axis in drawn_axes(drawn)]
         if not any(axis.parameter == RUN and len(axis) > 1 for axis in drawn.axes):
             if x is not None or y is not None:
                 raise PlotError(
@@ -69,8 +69,7 @@ class View:
     @classmethod
     def of_grid(cls, drawn: Map) -> "View":
         """The view of a map over its one or two swept axes. Raises PlotError where it has more."""
-        keep = drawn_axes(drawn)
-        swept = [drawn.axes[index] for index in keep]
+        swept = drawn_axes(drawn)
         if len(swept) > 2:
             names = ", ".join(axis.parameter for axis in swept)
             surplus = " and ".join(axis.parameter for axis in parted_axes(swept)[1])
@@ -80,7 +79,7 @@ class View:
             )
         order = tuple(np.argsort(axis.values, kind="stable") for axis in swept)
         axes = tuple(replace(axis, values=axis.values[at], words=()) for axis, at in zip(swept, order, strict=True))
-        return cls(axes, fixed_parameters(drawn), keep, order)
+        return cls(axes, fixed_parameters(drawn), tuple(map(drawn.axes.index, swept)), order)
 
     @classmethod
     def of_points(cls, drawn: Map, names: Sequence[str]) -> "View":
@@ -96,17 +95,17 @@ class View:
                 raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
         along = [name if name in dimensions else RUN for name in names]
         shown = {*along, RUN} if len(names) == 1 else {*along}
-        if hidden := [name for name in map(dimensions.__getitem__, drawn_axes(drawn)) if name not in shown]:
+        if hidden := [axis.parameter for axis in drawn_axes(drawn) if axis.parameter not in shown]:
             raise PlotError(
                 f"Points that differ in {' and '.join(hidden)} would lie on each other: choose one value (--at), or "
                 "draw a map for each (--facet)."
             )
         cells = np.indices(drawn.shape)
         axes = tuple(replace(changing[name], values=np.sort(changing[name].values), words=()) for name in names)
-        values = (
+        places = tuple(
             changing[name].values[cells[dimensions.index(at)]].ravel() for name, at in zip(names, along, strict=True)
         )
-        return cls(axes, fixed_parameters(drawn), places=tuple(values))
+        return cls(axes, fixed_parameters(drawn), places=places)
 
     @property
     def x(self) -> ResultAxis:
@@ -122,8 +121,7 @@ class View:
         """Turn an array of the results' shape into (nx,) or (nx, ny), ascending; of points into C order."""
         if self.places:
             return array.ravel()
-        rest = tuple(axis for axis in range(array.ndim) if axis not in self.keep)
-        turned = np.transpose(array, (*self.keep, *rest)).reshape([len(order) for order in self.order])
+        turned = np.moveaxis(array, self.keep, range(len(self.keep))).reshape([len(order) for order in self.order])
         return turned[np.ix_(*self.order)]
 
 
@@ -134,15 +132,15 @@ def parted_axes(swept: Sequence[ResultAxis]) -> tuple[list[ResultAxis], list[Res
     return sorted(shown, key=lambda axis: axis.parameter != _X), ranked[2:]
 
 
-def drawn_axes(drawn: Map) -> tuple[int, ...]:
-    """Indices of the axes with more than one value, x first; of the first axis if there is none."""
-    keep = [index for index, axis in enumerate(drawn.axes) if len(axis) > 1] or [0]
-    return tuple(sorted(keep, key=lambda index: drawn.axes[index].parameter != _X))
+def drawn_axes(drawn: Map) -> list[ResultAxis]:
+    """The axes with more than one value, x first; the first axis if there is none."""
+    several = [axis for axis in drawn.axes if len(axis) > 1] or drawn.axes[:1]
+    return sorted(several, key=lambda axis: axis.parameter != _X)
 
 
 def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
     """Parameters with one value: axes, and a single run's coordinates."""
-    shown = [drawn.axes[index].parameter for index in drawn_axes(drawn)]
+    shown = [axis.parameter for axis in drawn_axes(drawn)]
     return tuple(axis for axis in drawn.parameters if len(axis) == 1 and axis.parameter not in shown)
 
 
@@ -200,7 +198,7 @@ def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
     if axis.words:
         return axis.words[axis.nearest(value)]
     name = bare(axis.symbol) if symbol else axis.name
-    return f"{name or axis.parameter} = {number_text(value)}{_unit(axis)}"
+    return f"{name or axis.parameter} = {number_text(value)}{axis.unit_after}"
 
 
 def number_text(value: float) -> str:
@@ -208,13 +206,7 @@ def number_text(value: float) -> str:
     return re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}").replace("-", MINUS)
 
 
-def _unit(axis: ResultAxis) -> str:
-    """An axis's unit after a space, or nothing where it has none."""
-    return "" if axis.unit == "1" else f" {axis.unit}"
-
-
 def axis_label(axis: ResultAxis) -> str:
     """An axis's name, symbol and unit."""
-    unit = f"[{axis.unit}]" if _unit(axis) else ""
-    parts = plain(capital(axis.name)), symbol_text(axis.symbol), plain(unit)
-    return " ".join(part for part in parts if part)
+    unit = "" if axis.unit == "1" else f"[{axis.unit}]"
+    return " ".join(filter(None, (plain(capital(axis.name)), symbol_text(axis.symbol), plain(unit))))

@@ -382,7 +382,7 @@ def _ordered(values: Array, axis: int) -> float:
 def _largest_fall(results: Results) -> tuple[float, str]:
     """The largest relative fall of Q in one step up in the load ratio, and in which label."""
     before, after = results.severity[:-1], results.severity[1:]
-    fall = np.where(before > 0.0, 1.0 - after / np.where(before > 0.0, before, np.inf), 0.0)
+    fall = 1.0 - np.divide(after, before, out=np.ones_like(before), where=before > 0.0)
     at = np.unravel_index(fall.argmax(), fall.shape)
     return fall[at], f"in {results.labels[results.sequence[at]]} near σr = {results.axes[0].values[at[0]]:.2g}"
 
@@ -390,9 +390,8 @@ def _largest_fall(results: Results) -> tuple[float, str]:
 def _least_backlash(results: Results, ratio: float, label: str) -> float:
     """The backlash from which on a load ratio has this label; NaN where its largest one has not."""
     row = results.label_map[results.axes[0].nearest(ratio)]
-    unlike = np.flatnonzero(row != label)
-    first = unlike[-1] + 1 if unlike.size else 0
-    return float(results.axes[1].values[first]) if first < row.size else float("nan")
+    first = np.flatnonzero(row != label).max(initial=-1) + 1
+    return float(np.append(results.axes[1].values, np.nan)[first])
 
 
 def _numbers(values: Any, digits: int = 1) -> str:

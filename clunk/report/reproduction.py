@@ -1,7 +1,6 @@
 """The report's figures redrawn, and its claims written as JSON and as Markdown tables."""
 
 import json
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -46,11 +45,11 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
             for claim in claims
             if (claim.known == Verdict.AGREES) == agrees
         ]
-        table = begin + "\n".join(rows) + "\n<!-- end -->"
-        place = re.search(f"{re.escape(begin)}.*?<!-- end -->", text, flags=re.DOTALL)
-        if place is None:
+        before, _, rest = text.partition(begin)
+        _, end, after = rest.partition("<!-- end -->")
+        if not end:
             raise ClunkError(f"{path} has no place for the claims: a line {begin.strip()}, and <!-- end --> after it.")
-        text = text[: place.start()] + table + text[place.end() :]
+        text = before + begin + "\n".join([*rows, end]) + after
     write_text(path, text)
 
 
@@ -62,11 +61,11 @@ def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
     def run(name: str, ratio: float = NOMINAL_RATIO, until: float = 1.0) -> History:
         return sample(e.runs[name][ratio], until=until, name=_NAMES[name])
 
-    nominal, both = run("indentation"), [run(name) for name in _NAMES]
+    both = [run(name) for name in _NAMES]
     all_runs = [run(name, ratio) for ratio in RATIOS for name in _NAMES]
     between = compare(maps["indentation"], maps["restitution"])
     return {
-        "figure_3_1": lambda: histories.history_figure([nominal], "angles"),
+        "figure_3_1": lambda: histories.history_figure([run("indentation")], "angles"),
         "figure_3_2": lambda: histories.history_figure(all_runs, "backlash"),
         "figure_3_3": lambda: histories.history_figure(both, "closeup"),
         "figure_3_4": lambda: plot.draw(maps["indentation"], "regimes", thresholds),

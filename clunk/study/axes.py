@@ -57,8 +57,12 @@ class ResultAxis:
         """Least and largest value, unit and count, for people: ``0 to 20 degrees, 21 values``; or the words."""
         if self.words:
             return ", ".join(self.words)
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self)} values"
+        return f"{self.values.min():g} to {self.values.max():g}{self.unit_after}, {len(self)} values"
+
+    @property
+    def unit_after(self) -> str:
+        """The unit behind a value, after a space; empty where there is none."""
+        return "" if self.unit == "1" else f" {self.unit}"
 
     def part(self, places: slice) -> "ResultAxis":
         """The axis at some of its places."""

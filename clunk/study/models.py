@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import AfterValidator, Field, PlainValidator, Tag, ValidationInfo, WithJsonSchema, model_validator
+from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, WithJsonSchema, model_validator
 
 from clunk.study.document import Place, items_of, value_at
 from clunk.study.errors import ConfigError, shorten
@@ -17,8 +17,6 @@ from clunk.study.loads import Load
 from clunk.study.sweeps import Draws, Sweep
 from clunk.study.tables import (
     MOST_DRAWS,
-    ONE,
-    SEVERAL,
     Ends,
     Finding,
     Inertia,
@@ -74,13 +72,11 @@ class Shaft(Table):
     between: Ends
     ratio: Annotated[NotZero, Quantity("gear ratio of shaft {}", "i{}", "1")] = 1.0
     stiffness: Annotated[
-        Annotated[NotNegative, Tag(ONE)] | Annotated[_Stages, Tag(SEVERAL)],
-        OneOrSeveral,
+        OneOrSeveral[NotNegative, _Stages],
         Quantity("stiffness of shaft {}", "k{}", "N m/rad"),
     ]
     stiffness_per_deg: Annotated[
-        Annotated[Annotated[NotNegative, Tag(ONE)] | Annotated[tuple[NotNegative, ...], Tag(SEVERAL)], OneOrSeveral]
-        | None,
+        OneOrSeveral[NotNegative, tuple[NotNegative, ...]] | None,
         Field(json_schema_extra={"unit": "N m/degree"}),
     ] = None
     breakpoints_deg: (
@@ -306,8 +302,7 @@ class FreeParameter(Table):
     """
 
     parameter: Annotated[
-        Annotated[Text, Tag(ONE)] | Annotated[tuple[Text, ...], Field(min_length=1), Tag(SEVERAL)],
-        OneOrSeveral,
+        OneOrSeveral[Text, Annotated[tuple[Text, ...], Field(min_length=1)]],
         Field(description='a dotted numeric key, or a list of keys that take one value, ["load.levels[1]"]'),
     ]
     low: float
@@ -345,9 +340,7 @@ class Config(Table):
 
     title: Annotated[Text, Field(min_length=1)] = "Untitled"
     driveline: DrivelineConfig
-    lash: Annotated[
-        Annotated[Lash, Tag(ONE)] | Annotated[tuple[Lash, ...], Field(min_length=1), Tag(SEVERAL)], OneOrSeveral
-    ]
+    lash: OneOrSeveral[Lash, Annotated[tuple[Lash, ...], Field(min_length=1)]]
     load: Load
     solver: Solver = Solver()
     impacts: Impacts
@@ -385,8 +378,7 @@ class Config(Table):
     def watched(self) -> tuple[int, ...]:
         """The inertia whose acceleration gives each lash's severity, by number from 1."""
         of_all = self.impacts.acceleration_of
-        firsts = (next(end for end in lash.between if end != "ground") for lash in self.lashes)
-        return tuple(first if of_all is None else of_all for first in firsts)
+        return tuple(of_all or next(end for end in lash.between if end != "ground") for lash in self.lashes)
 
     @property
     def measured(self) -> bool:

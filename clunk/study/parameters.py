@@ -56,12 +56,12 @@ def names_of(document: Any) -> Names:
 def parameters(document: Any) -> list[str]:
     """The parameters of a document or a config, given or left out; of long lists the first."""
     known = []
-    for pattern in (pattern for pattern, key in keys().items() if key.quantity is not None):
-        places: list[Place] = [()]
+    for pattern, key in keys().items():
+        places: list[Place] = [()] if key.quantity is not None else []
         for step in pattern:
             places = [(*at, each) for at in places for each in _steps(value_at(document, at), step)]
-        known += [at for at in places if not items_of(value_at(document, at))]
-    return [dotted(place) for place in known]
+        known += [dotted(at) for at in places if not items_of(value_at(document, at))]
+    return known
 
 
 def spellings(document: Any) -> dict[str, str]:

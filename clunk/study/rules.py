@@ -48,8 +48,7 @@ FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing t
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; values of swept and drawn keys are only looked at where nothing is wrong."""
-    rules = (_of_a_run, _varied, _measured)
-    return [finding for rule in rules for finding in rule(config)] or list(_reached(config))
+    return [*_of_a_run(config), *_varied(config), *_measured(config)] or [*_reached(config)]
 
 
 def _of_a_run(config: Config) -> Iterator[Finding]:

@@ -166,11 +166,11 @@ class Draw(Varied):
     def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
         """Quantiles of the drawn number at these probabilities, around the nominal value of its key; NaN of none."""
         numbers = self.numbers(nominal)
-        low, high = numbers.get("low"), numbers.get("high")
+        low, high = numbers.get("low", -math.inf), numbers.get("high", math.inf)
         distribution = _distribution(self.distribution, numbers)
         u = np.clip(probability, _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
-        below, within = 0.0 if low is None else distribution.cdf(low), 1.0 if high is None else distribution.cdf(high)
-        beyond, above = 1.0 if low is None else distribution.sf(low), 0.0 if high is None else distribution.sf(high)
+        below, within = distribution.cdf([low, high])
+        beyond, above = distribution.sf([low, high])
         if below > 0.5:  # by the probability above a number, which has the digits there
             share, values = beyond - above, distribution.isf(beyond + u * (above - beyond))
         else:
@@ -179,7 +179,7 @@ class Draw(Varied):
         if not share > 0.0:
             values = np.full_like(values, np.nan)  # none of the distribution is from low to high
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
-        return np.clip(values, low, high) if (low, high) != (None, None) else values
+        return np.clip(values, low, high)
 
     def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> Floats:
         """Values of the key, from the numbers that were drawn and its nominal value."""

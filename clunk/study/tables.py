@@ -5,7 +5,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -14,6 +14,7 @@ from pydantic import (
     Discriminator,
     Field,
     PlainValidator,
+    Tag,
     ValidationInfo,
     WithJsonSchema,
     model_validator,
@@ -29,6 +30,8 @@ MOST_DRAWS = 1_000_000  # of a sample
 LARGEST_SIZE = 1e30  # of positive numbers, and the smallest is its inverse
 OTHER_UNITS = {"gap_mm": "backlash_deg", "stiffness_per_deg": "stiffness"}  # keys, and those that they become
 ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
+One = TypeVar("One")
+Several = TypeVar("Several")
 
 
 def refusal(text: str, findings: Sequence[Finding] = ()) -> PydanticCustomError:
@@ -161,7 +164,10 @@ def _sizeable(value: float) -> float:
     return value
 
 
-OneOrSeveral = Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE)
+OneOrSeveral = Annotated[
+    Annotated[One, Tag(ONE)] | Annotated[Several, Tag(SEVERAL)],
+    Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE),
+]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_sizeable)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_sizeable)]
 NotZero = Annotated[
