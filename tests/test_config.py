@@ -615,6 +615,18 @@ def test_broken_override_is_reported_as_an_override(override, key, message):
     assert f"--set {key}:" in str(error)
 
 
+def test_a_name_that_there_is_not_is_refused_with_those_that_there_are():
+    lashes = "".join(
+        f'[[lash]]\nname = "{name}"\nbetween = {between}\nbacklash_deg = 3.0\nradius = 0.08\n'
+        "contact = { stiffness = 4e5, damping = 90.0 }\n"
+        for name, between in (("spline", '["motor", "flange"]'), ("gear", '["pinion", "ring"]'))
+    )
+    text = f'[driveline]\npreset = "boere-2008"\n{lashes}'
+    assert study_from_text(text, overrides="lash[gear].backlash_deg=5").lashes[1].backlash_deg == 5.0
+    with pytest.raises(ConfigError, match=r'by name: "spline" and "gear"'):
+        study_from_text(text, overrides="lash[gaer].backlash_deg=5")
+
+
 def test_text_of_an_override_may_hold_brackets_and_equals_signs():
     assert study_from_text(WHOLE, overrides=['title="a]b = [c"']).title == "a]b = [c"
 

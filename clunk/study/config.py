@@ -27,7 +27,7 @@ from clunk.study.document import (
     read_text,
     value_at,
 )
-from clunk.study.errors import ClunkWarning, ConfigError, Problem, report, shorten
+from clunk.study.errors import ClunkWarning, ConfigError, Problem, listing, report, shorten
 from clunk.study.keys import PRESETS, validated, with_tuples, wrong_value
 from clunk.study.loads import PROFILES, STEP_KEYS, TORQUES, read_trace, uses
 from clunk.study.parameters import Names, names_of, parameter_at, place_of
@@ -114,10 +114,13 @@ def study_from_text(
     findings += _load_trace(document, folder) if file not in assignments else []
     assigned: list[Place] = []
     for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
-        resolved = place_of(dotted(place), names_of(document))
+        known = names_of(document)
+        resolved = place_of(dotted(place), known)
         _displace(document, resolved or place, value, kept={*assignments, *assigned})
         if resolved is None or not assign(document, resolved, value):
-            findings.append((place, "there is no such place; items of a list go by their number from 1, or by name"))
+            named = [name for key, items in known.items() if dotted(place).startswith(key) for name in items if name]
+            by_name = f", or by name: {listing([*map(shorten, named)])}" if named else ""
+            findings.append((place, f"there is no such place; items of a list go by their number from 1{by_name}"))
         assigned.append(resolved or place)
         findings += _load_trace(document, ".") if place == file else []
         _unwrap_lash(document)
