@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.lines import CHORD, Lines, Triangles
+from clunk.analysis.lines import CHORD, TOUCHES, Lines, Triangles
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.search import POINT, PointRuns, check_axis, grid_axes, in_halves
 from clunk.core.events import STAGE, TOUCH
@@ -119,7 +119,9 @@ def boundaries(
         nodes["outcome"], nodes["measure"] = part.sequence[ascending], part.margin[ascending]
         nodes["touches"] = part.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost, point_runs.preparing)
+        of_others = int(results.touches.sum() - part.touches.sum()) // nodes.size  # which a point does not tell
+        beside = point_runs.preparing + of_others // TOUCHES
+        lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost, beside)
         lines.trace()
         paths = paths_of(*lines.segments(), lines.position)
         regions = regions_of(rings_of(paths, int(triangles.outcome[0])))

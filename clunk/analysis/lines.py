@@ -35,7 +35,7 @@ _LONG = 0.5  # of a triangle's longest edge
 _FLAT = 0.1  # of the far edge, the height over it of a triangle with several crossings on another edge, where it is cut
 _BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
 _RUNS_PER_CELL, _ON_ANY_MAP = 7, 5_000_000  # the latter over what a run costs
-_TOUCHES = 10  # that take as long as a run without any
+TOUCHES = 10  # that take as long as a run without any
 _CUT, _ON_EDGES = 0.85, 0.95  # of these, with which edges are cut, and crossings located on edges
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
 _NEAR, _OF_EDGE = 7e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
@@ -49,7 +49,7 @@ _SHIFT = 32  # bits of a node's number in an edge's key
 def most_runs(cells: int, cost: int) -> int:
     """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches.
 
-    cells : of the map, and one more for each `_TOUCHES` touches of their runs
+    cells : of the map, and one more for each `TOUCHES` touches of their runs
     cost : see `PointRuns`
     """
     return _ON_ANY_MAP // cost + _RUNS_PER_CELL * cells
@@ -57,7 +57,7 @@ def most_runs(cells: int, cost: int) -> int:
 
 def _cost_of(runs: Points) -> int:
     """Number of runs without touches that take as long as some runs."""
-    return runs.size + runs["touches"].sum() // _TOUCHES
+    return runs.size + runs["touches"].sum() // TOUCHES
 
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:
@@ -206,16 +206,17 @@ class Lines:
 
     triangles : Triangles
     run : runs points (n, 2); returns (n,) POINT
-    cost, preparing : see `PointRuns`
+    cost : see `PointRuns`
+    beside : cost of a run but for itself and its touches: of preparing it, and of what other lashes do
     keys, brackets, runs : (n,) keys of edges with a crossing, ascending, and of each the two ends of its bracket
         (n, 2, 2), from the first node on, and POINT there (n, 2)
     met, met_labels : (m, 2) triple points, and the codes of the labels that meet there (m, 3)
     unresolved : (n, 2) places where lines are not located
     """
 
-    def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int, preparing: int) -> None:
+    def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int, beside: int) -> None:
         self.triangles, self._run_points = triangles, run
-        self._most_runs, self._preparing = most_runs(_cost_of(triangles.runs), cost), preparing
+        self._most_runs, self._beside = most_runs(_cost_of(triangles.runs), cost), beside
         self._spent, self._rounds = 0, 0
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._cuts: list[tuple[Codes, Floats, Points]] = []
@@ -260,7 +261,7 @@ class Lines:
 
     def _run(self, places: Floats) -> Points:
         runs = self._run_points(places)
-        self._spent += _cost_of(runs) + self._preparing * runs.size
+        self._spent += _cost_of(runs) + self._beside * runs.size
         return runs
 
     def _may_run(self, share: float = 1.0) -> bool:
