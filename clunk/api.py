@@ -199,7 +199,7 @@ def run_points(
     values = np.stack([axis.values for axis in design.coordinates], axis=-1)
     with sweeping.engine_of(scheduler, workers) as engine:
         runner = Runner(study, [axis.parameter for axis in design.coordinates], engine=engine)
-        with reporting(progress, design.cells, runner.study) as report:
+        with reporting(progress, runner.study) as report:
             return runner.run(values, report)
 
 

@@ -110,7 +110,7 @@ def boundaries(
     def values_at(places: Floats) -> Floats:
         return np.column_stack([_values(axis, column) for axis, column in zip(part.axes, places.T, strict=True)])
 
-    reports = reporting(progress, part.sequence.size, study, what="runs along the boundaries")
+    reports = reporting(progress, study, what="runs along the boundaries")
     with engine_of(None, workers) as engine, reports as report:
         keys = [axis.parameter for axis in part.axes]
         point_runs = PointRuns(study, keys, OF_RUNS[LABEL], position, engine, words=part.labels, progress=report)

@@ -190,7 +190,7 @@ def compare(a: Results, b: Results) -> Comparison:
             "b_only": _count(failed_b & ~failed_a),
             "both": _count(failed_a & failed_b),
         },
-        same_regimes=cells > 0 and not (differing or _count(failed_a != failed_b)),
+        same_regimes=cells > 0 and np.array_equal(codes_a, codes_b),
         # a stable sort: those as frequent are in the order of the labels
         transitions=tuple(
             sorted((Transition(labels[i], labels[j], k) for i, j, k in transitions), key=lambda each: -each.cells)
@@ -278,13 +278,12 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
         if np.isnan(difference).all():
             continue
         k, largest = int(np.nanargmax(difference)), float(np.nanmax(np.abs(b.values(name))))
-        at = np.unravel_index(cells[k], b.shape)
         yield Difference(
             quantity=name,
             difference=float(difference[k]),
             unit=REGIME_QUANTITIES[name].unit_symbol,
             over_largest=float(difference[k]) / largest if largest > 0.0 else 0.0,
-            at=b.place(at),
+            at=b.place(np.unravel_index(cells[k], b.shape)),
         )
 
 

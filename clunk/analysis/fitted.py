@@ -324,9 +324,9 @@ def losses(matches: Records, wanted: Codes, fit: Fit) -> Floats:
 
 def weights_of(losses: Floats, log_density: Floats) -> Floats:
     """Weights of draws, which add up to 1."""
-    exponents = -losses - log_density
-    weights = np.exp(exponents - exponents.max())
-    return weights / weights.sum()
+    from scipy.special import softmax
+
+    return softmax(-losses - log_density)
 
 
 def effective_size(weights: Floats) -> float:

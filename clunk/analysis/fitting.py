@@ -33,7 +33,7 @@ from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value, spellings, with_draws
 from clunk.study.rules import complaint
 from clunk.study.study import Study
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import Progress, reporting, unseen
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
@@ -73,7 +73,7 @@ class Candidates:
     """
 
     def __init__(
-        self, study: Study, experiment: Experiment, lash: str, engine: Executor, progress: Progress | None = None
+        self, study: Study, experiment: Experiment, lash: str, engine: Executor, progress: Progress = unseen
     ) -> None:
         assert study.fit is not None
         self.study, self.fit, self.priors = study, study.fit, study.fit.parameters
@@ -105,17 +105,16 @@ class Candidates:
         together = max(1, _TOGETHER // self.points.size)
         parts = []
         for k in range(0, len(numbers), together):
-            if self._progress is not None:
-                done = len(self.matches) + k
-                self._progress(done, max(done, self.fit.candidates + self.fit.draws))
+            done = len(self.matches) + k
+            self._progress(done, max(done, self.fit.candidates + self.fit.draws))
             parts.append(self._run_some(numbers[k : k + together]))
         return np.concatenate(parts)
 
     def _run_some(self, numbers: Floats) -> Records:
         """Run as many candidates as there is memory for."""
         study = measuring(self.study, ())
-        keys = dict.fromkeys([*self.axes, *(prior.parameter for prior in self.priors)])
-        runner = Runner(study, [*keys], engine=self._engine)  # new: there are too many drivelines to keep
+        keys = [*dict.fromkeys([*self.axes, *(prior.parameter for prior in self.priors)])]
+        runner = Runner(study, keys, engine=self._engine)  # new: there are too many drivelines to keep
         matches = np.zeros((len(numbers), len(self.points)), MATCH)
         flat, (candidate, point) = matches.reshape(-1), np.indices(matches.shape).reshape(2, -1)
         flat["label"], results = self._run(runner, numbers[candidate], self.points[point])
@@ -284,8 +283,7 @@ def fit(
     assert study.fit is not None
     settings, priors = study.fit, study.fit.parameters
     name, plain = study.lash_names[lash_position(lash, study.lash_names)], study.but(sweep=None)
-    most = settings.candidates + settings.draws
-    with engine_of(None, workers) as engine, reporting(progress, most, plain, what="candidates") as report:
+    with engine_of(None, workers) as engine, reporting(progress, plain, what="candidates") as report:
         candidates = Candidates(study, experiment, name, engine, report)
         nominal = [{"factor": 1.0, "offset": 0.0}.get(p.draws, nominal_value(study, p.parameter)) for p in priors]
         nominal_matches = candidates.run(np.array([nominal]))
@@ -294,8 +292,7 @@ def fit(
             candidates, len(priors), settings.effective_draws, settings.draws, settings.seed
         )
         count = len(candidates.matches)
-        if report is not None:
-            report(count, count)
+        report(count, count)
     matches = np.concatenate([nominal_matches, candidates.matches])  # the config is a candidate, if the priors allow it
     numbers = np.vstack([nominal, candidates.numbers(candidates.coordinates)])
     ends = candidates.numbers(np.outer([-np.inf, np.inf], [1.0] * len(priors)))

@@ -3,7 +3,7 @@
 import csv
 import math
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -128,7 +128,7 @@ def _columns(cells: list[str], where: str) -> list[str]:
             f"{where}: there must be columns, separated by commas or semicolons, of parameters, as load_ratio, and one "
             "named label."
         )
-    twice = [name for name, count in Counter(columns).items() if count > 1]
+    twice = [name for name in columns if columns.count(name) > 1]
     if twice:
         raise ClunkError(f"{where}: there is more than one column {twice[0]}.")
     return columns
@@ -196,7 +196,7 @@ class Point(Record):
     @property
     def counts(self) -> bool:
         """Whether the nearest cell has a label to compare with."""
-        return self.computed is not None and self.computed != FAILED
+        return self.computed not in (None, FAILED)
 
     @property
     @tells("agrees")

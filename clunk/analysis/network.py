@@ -93,9 +93,9 @@ def rings_of(paths: list[Path], corner: int) -> list[Ring]:
     around = sorted(on_frame, key=on_frame.__getitem__)
     if not around:
         rings.append(_ring(corner, np.vstack([_CORNERS, _CORNERS[:1]])))
-    following = dict(zip(around, [*around[1:], *around[:1]], strict=True))
+    following = dict(zip(around, around[1:] + around[:1], strict=True))
     while starts:
-        (node, label), _ = next(iter(starts.items()))
+        node, label = next(iter(starts))
         points = []
         while (node, label) in starts:
             k, forward = starts.pop((node, label))

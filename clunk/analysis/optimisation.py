@@ -27,7 +27,7 @@ from clunk.study.models import Optimize, lash_position
 from clunk.study.parameters import drawn_numbers, nominal_value, with_draws
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import Progress, reporting, unseen
 from clunk.sweeping.runner import Runner
 
 RELEASE_TIME = "release_time"  # s, from which on the load rests
@@ -128,8 +128,6 @@ class Problem:
     as_it_is : candidate of the config's own values, which `before` has run
     """
 
-    progress: Progress | None
-
     def __init__(
         self,
         study: Study,
@@ -137,7 +135,8 @@ class Problem:
         workers: int | None = None,
         shown: str = "",
     ) -> None:
-        self.optimize, self.runs, self.progress = _table(study), 0, None
+        self.optimize, self.runs = _table(study), 0
+        self.progress: Progress = unseen
         self._lash = lash_position(lash, study.lash_names) + 1
         free, self.minimized = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free]).T
@@ -250,8 +249,7 @@ class Problem:
         return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))
 
     def _tell(self, done: int, _total: int) -> None:
-        if self.progress is not None:
-            self.progress(self.runs + done, max(self.runs + done, self.most))
+        self.progress(self.runs + done, max(self.runs + done, self.most))
 
     def parameters(self, candidates: Floats) -> dict[str, Floats]:
         """Values of the free keys, (n,) each, by candidates, (n, parameters)."""
@@ -335,7 +333,7 @@ def optimize(
     from scipy.stats import qmc
 
     problem, explored, found = Problem(study, lash, workers, shown), [], []
-    with reporting(progress, problem.most, problem.study, what="runs at most") as problem.progress:
+    with reporting(progress, problem.study, what="runs at most") as problem.progress:
         try:
             design = qmc.Sobol(problem.low.size, seed=np.random.default_rng(problem.optimize.seed))
             points = qmc.scale(design.random(problem.explored), problem.low, problem.high)
@@ -390,14 +388,14 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:
     """The best candidate of one start, (parameters,), from half of the points that were explored."""
-    from scipy.optimize import differential_evolution
+    from scipy.optimize import Bounds, differential_evolution
 
     size = _POPULATION * problem.low.size
     half = rng.permutation(len(points))[: len(points) // 2]
     order = half[np.argsort(merits[half], kind="stable")]
     result = differential_evolution(
         lambda columns: problem.merit(problem(columns.T)),
-        list(zip(problem.low, problem.high, strict=True)),
+        Bounds(problem.low, problem.high),
         init=points[np.concatenate([order[: size // 2], rng.choice(order, size - size // 2)])],
         maxiter=_GENERATIONS,
         tol=1e-10,

@@ -32,7 +32,7 @@ from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows, count_of_regimes
 from clunk.study.study import Study
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, unseen
 from clunk.sweeping.runner import Runner
 
 # A run of a cell at a value: the code of its outcome, a number that changes sign where that does, NaN where none is
@@ -250,7 +250,7 @@ class PointRuns:
         engine: Executor,
         *,
         words: Sequence[Word] = (),
-        progress: Progress | None = None,
+        progress: Progress = unseen,
     ) -> None:
         self.runner = Runner(measuring(study, [outcome]), parameters, engine=engine)
         self.outcome, self._lash = outcome, lash + 1
@@ -275,7 +275,8 @@ class PointRuns:
         return in_halves(self._run, values, _failed(1)) if len(values) else _failed(0)
 
     def _run(self, values: Floats) -> Points:
-        results, points = self.runner.run(values, self._tell).of_lash(self._lash), _failed(len(values))
+        results = self.runner.run(values, lambda done, _: self._progress(self.count + done, 0)).of_lash(self._lash)
+        points = _failed(len(values))
         is_cut = results.status == Status.EVENT_BUFFER_FULL  # after as many as there may be
         points["touches"] = np.where(is_cut, self.runner.study.solver.max_events, results.touches)
         finished = results.status == Status.OK
@@ -284,15 +285,11 @@ class PointRuns:
         words, inverse = np.unique(found == 1.0 if self.outcome.type == YES_NO else found, return_inverse=True)
         words = words.astype({TEXT: str, YES_NO: bool}.get(self.outcome.type, int))
         known = [self._codes.setdefault(word, len(self._codes)) for word in words.tolist()]
-        points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
+        points["outcome"][finished] = np.array(known, np.int64)[inverse]
         points["measure"][finished] = self._measure(results)[finished]
         self.failures.update(map(Status, results.status[~finished].tolist()))
         self.count += len(values)
         return points
-
-    def _tell(self, done: int, _total: int) -> None:
-        if self._progress is not None:
-            self._progress(self.count + done, 0)
 
     def _measure(self, results: Results) -> Floats:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""

@@ -171,10 +171,9 @@ def sensitivity(
     sample, without = saltelli_sample(point), [nominal_value(point, parameter) for parameter in parameters]
     n, pages, d = sample.shape
     runner = Runner(measuring(point, quantities), parameters, workers=workers)
-    points = [*sample.reshape(-1, d), without]
     try:
-        with reporting(progress, len(points), runner.study, what="runs") as report:
-            runs = runner(points, progress=report).of_lash(lash)
+        with reporting(progress, runner.study, what="runs") as report:
+            runs = runner([*sample.reshape(-1, d), without], progress=report).of_lash(lash)
     except ConfigError as error:
         raise ClunkError(
             f"A draw is not allowed: {error.problems[0].key}, {error.problems[0].message}; bound its distribution with "

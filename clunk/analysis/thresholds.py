@@ -235,7 +235,7 @@ def thresholds(
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
     keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
     scanned = np.repeat(np.arange(design.cells), len(along_axis))
-    with engine_of(None, workers) as engine, reporting(progress, scanned.size, study, what="runs") as report:
+    with engine_of(None, workers) as engine, reporting(progress, study, what="runs") as report:
         point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)
 
         def run(cells: Codes, values: Floats) -> Points:

@@ -9,7 +9,7 @@ FAILED_CODE = -1
 
 def double_sided(label: str) -> int:
     """Number of double-sided impacts in a label."""
-    return sum(int(count) for count in re.findall(r"DS\((\d+)\)", label))
+    return sum(map(int, re.findall(r"DS\((\d+)\)", label)))
 
 
 def primary_impacts(label: str) -> int:
@@ -24,7 +24,7 @@ def label_order(label: str) -> tuple[int, str]:
 
 def excursions(label: str) -> int:
     """Number of excursions from a flank in a label, of whatever type."""
-    return sum(int(count) for count in re.findall(r"\((\d+)\)", label))
+    return sum(map(int, re.findall(r"\((\d+)\)", label)))
 
 
 def normalised_label(text: str) -> str:

@@ -154,12 +154,11 @@ class Quantity:
         """
         if self.type == TEXT:
             return results.label_map
-        sequence = results.arrays["sequence"]
         if self.of_label("NI") is not None:
             return results.of_labels([self.of_label(label) or 0.0 for label in results.labels])
         if self.name == CHATTER:
             holds = results.arrays["touches"] > results.arrays["primary_impacts"]
-            return np.where(sequence == FAILED_CODE, np.nan, holds)
+            return np.where(results.arrays["sequence"] == FAILED_CODE, np.nan, holds)
         if self.base is None:
             return results.numbers(self.name)
         numbers = self.base.compared(results)

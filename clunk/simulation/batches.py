@@ -14,7 +14,6 @@ from clunk.simulation.driveline import Driveline, prepare
 from clunk.simulation.load import WAVES
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
-from clunk.study.document import Place
 from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows
@@ -64,47 +63,31 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     """
     if not values.size:
         return
-    keys = [located(study, parameter) for parameter in parameters]
-    places = [place for place, _, _ in keys]
+    places, keys, _ = zip(*(located(study, parameter) for parameter in parameters), strict=True)
     # what is no spring, damper or friction where it is zero, no gear where it is 1, and whole numbers, make another
     # kind of driveline
-    is_ratio, is_whole = [place[-1] == "ratio" for place in places], [key.whole for _, key, _ in keys]
+    is_ratio, is_whole = [place[-1] == "ratio" for place in places], [key.whole for key in keys]
     signs = np.where(is_ratio & (np.abs(values) == 1.0), 2.0, 1.0) * np.sign(values)
     kinds = np.where(is_whole, values, signs)
-    yield from _prepare_alike(study, parameters, places, values, kinds, np.arange(len(values)))
-
-
-def most_prepared(study: Study) -> int:
-    """Most drivelines of a batch of a study's: what they take in memory is bounded, however many flows each has."""
-    entries = count_of_flows(study) * (2 * len(study.driveline.inertias)) ** 2
-    return min(_MEASURED if study.measured else _MOST, max(1, _ENTRIES // entries))
-
-
-def _prepare_alike(
-    study: Study,
-    parameters: Sequence[str],
-    places: Sequence[Place],
-    values: Floats,
-    kinds: Floats,
-    positions: Positions,
-) -> Iterator[tuple[Positions, Batch]]:
-    """Prepare drivelines at some positions in `values`; where they are not alike, in parts.
-
-    kinds : of as many rows, whose drivelines are not alike where these differ
-    """
-    most = most_prepared(study)
-    while positions.size:
-        part, positions = positions[:most], positions[most:]
+    most, count = most_prepared(study), len(values)
+    waiting = np.split(np.arange(count), range(most, count, most))  # positions of each batch
+    while waiting:
+        part = waiting.pop(0)
         try:
             alike(kinds[part])
             first = replace_values(study, dict(zip(parameters, values[part[0]].tolist(), strict=True)))
             line = Driveline.from_study(first, {place: values[part, k] for k, place in enumerate(places)})
             batches = [*_batches(first, line)]
         except UnlikeError as unlike:
-            for some in unlike.parts:
-                yield from _prepare_alike(study, parameters, places, values, kinds, part[some])
+            waiting = [*(part[some] for some in unlike.parts), *waiting]
         else:
             yield from ((part[some], batch) for some, batch in batches)
+
+
+def most_prepared(study: Study) -> int:
+    """Most drivelines of a batch of a study's: what they take in memory is bounded, however many flows each has."""
+    entries = count_of_flows(study) * (2 * len(study.driveline.inertias)) ** 2
+    return min(_MEASURED if study.measured else _MOST, max(1, _ENTRIES // entries))
 
 
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:

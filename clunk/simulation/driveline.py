@@ -162,8 +162,8 @@ class Driveline:
         twists = self.shafts @ angles
         energy = self.shaft_stiffness * twists**2 / 2.0
         for k, shaft in self.staged:
-            low, high = min(twists[k], 0.0), max(twists[k], 0.0)
-            nodes = np.unique(np.clip([0.0, *shaft.breakpoints, twists[k]], low, high))
+            ends = sorted([0.0, twists[k]])
+            nodes = np.unique(np.clip([*ends, *shaft.breakpoints], *ends))
             stages = np.searchsorted(shaft.breakpoints, nodes)
             torques = shaft.stiffness[stages] * nodes + shaft.torques[stages]
             energy[k] = np.sign(twists[k]) * np.sum((torques[1:] + torques[:-1]) * np.diff(nodes)) / 2.0
@@ -380,9 +380,13 @@ def stages_of(driveline: Driveline) -> list[tuple[int, ...]]:
 
 def flows_of(driveline: Driveline) -> list[tables.FlowOf]:
     """The flows of a driveline in the order of their numbers."""
-    lashes, stages = driveline.lashes.shape[-2], [shaft.stiffness.shape[-1] for _, shaft in driveline.staged]
-    every, shafts = tables.combinations([2] * lashes + stages + [2] * len(driveline.frictions)), lashes + len(stages)
-    return [tables.FlowOf(active[:lashes], active[lashes:shafts], active[shafts:]) for active in every]
+    of_lashes = tables.combinations([2] * driveline.lashes.shape[-2])
+    return [
+        tables.FlowOf(closed, stages, stuck)
+        for stuck in tables.combinations([2] * len(driveline.frictions))
+        for stages in stages_of(driveline)
+        for closed in of_lashes
+    ]
 
 
 def steady_stages(study: Study) -> dict[int, int]:

@@ -132,13 +132,13 @@ class History:
     @cached_property
     def impacts(self) -> tuple[Impact, ...]:
         """The primary impacts, in order."""
-        events, step_time = self.trajectory.events, self.study.load.step_time
-        extremes = self.trajectory.extremes[:, self.trajectory.lash]
-        limits = [*self.trajectory.primaries.tolist(), events.size]
+        run, step_time = self.trajectory, self.study.load.step_time
+        events, extremes = run.events, run.extremes[:, run.lash]
+        limits = [*run.primaries.tolist(), events.size]
         return tuple(
             Impact(
                 number=number,
-                severity=float(self.trajectory.impact_severity[number - 1]),
+                severity=float(run.impact_severity[number - 1]),
                 begin=float(step_time + events["time"][k]),
                 end=float(step_time + events["time"][following]) if following < events.size else np.inf,
                 largest=float(extremes[k:following, 0].max()),
@@ -188,11 +188,10 @@ def sample(
     phases = [_before_load_step(trajectory, system, inputs_before, gains, begin, step)]
     for k in range(np.searchsorted(trajectory.phases["time"], end, side="right")):
         phases += _after_event(trajectory, system, inputs_before, load, k, end, step)
-    columns = zip(*(phase.observed(line, system) for phase in phases), strict=True)
-    acceleration, torque, contacts, contact_torques = (np.concatenate(column) for column in columns)
+    columns = zip(*((phase.time, phase.state, *phase.observed(line, system)) for phase in phases), strict=True)
+    after_step, state, acceleration, torque, contacts, contact_torques = (np.concatenate(column) for column in columns)
     lengths, n = [phase.time.size for phase in phases], system.inertias
     acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
-    after_step, state = (np.concatenate(parts) for parts in ([p.time for p in phases], [p.state for p in phases]))
     event = np.full(after_step.size, -1)
     event[np.cumsum([0, *lengths[:-1]])] = [phase.event for phase in phases]
     angle, velocity = state[:, :n], state[:, n : 2 * n]

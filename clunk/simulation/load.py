@@ -31,17 +31,15 @@ def loads_of(load: Load, count: int, **swept: Numbers) -> tuple[Floats, Floats]:
     `swept` values, (count,) each or one for all, take the place of the config's own under the names of its keys,
     ``torques[n]`` and ``durations[n]`` among them; those that the profile does not use make no difference.
     """
-    values = {name: getattr(load, name) for name in type(load).model_fields} | swept
+    values = dict(load) | swept
     before: Numbers
     if load.profile == "table":
         torques = _entries(values, "torques", count) * np.reshape(values["scale"], (-1, 1))
         before, pieces = torques[:, 0], _lines(_entries(values, "times", count), torques)
     elif load.profile == "steps":
-        before, after = _torques(values)
+        column, rest = (np.reshape(torque, (-1, 1)) for torque in _torques(values))
         durations, levels = _span(_entries(values, "durations", count)), _entries(values, "levels", count)
-        before, after = np.reshape(before, (-1, 1)), np.reshape(after, (-1, 1))
-        pieces = _held(durations, before + (after - before) * levels, after)
-        before = before[:, 0]
+        before, pieces = column[:, 0], _held(durations, column + (rest - column) * levels, rest)
     else:
         before, pieces = _profile(values)
     return np.broadcast_to(before, count).astype(np.float64), pieces
@@ -49,10 +47,10 @@ def loads_of(load: Load, count: int, **swept: Numbers) -> tuple[Floats, Floats]:
 
 def _entries(values: Mapping[str, Any], key: str, count: int) -> Floats:
     """(1 or count, P): a list of the config, in each run if any of its items is swept."""
-    swept = {int(name[len(key) + 1 : -1]) - 1: values[name] for name in values if name.startswith(f"{key}[")}
+    swept = [name for name in values if name.startswith(f"{key}[")]
     entries = np.array(values[key], dtype=np.float64)[np.newaxis].repeat(count if swept else 1, axis=0)
-    for n, column in swept.items():
-        entries[:, n] = column
+    for name in swept:
+        entries[:, int(name[len(key) + 1 : -1]) - 1] = values[name]
     return entries
 
 
@@ -104,7 +102,7 @@ def _profile(values: Mapping[str, Any]) -> tuple[Numbers, Floats]:
 
 
 def _span(time: Numbers) -> Floats:
-    return np.where(np.asarray(time) < _SHORTEST, 0.0, time)
+    return np.where(time < _SHORTEST, 0.0, time)
 
 
 def _divisor(time: Floats) -> Floats:

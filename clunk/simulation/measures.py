@@ -76,12 +76,11 @@ def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
 def torque_across(line: Driveline, systems: System, flow: int, lash: int) -> Floats:
     """(D, Z) the torque across a lash, closed in a flow, by state and inputs, signed like q."""
     if systems.impulsive:
-        force = lash * systems.functionals_per_lash + FORCE
-        return _read(systems, flow, force)
+        return _read(systems, flow, lash * systems.functionals_per_lash + FORCE)
     n, (count, _, size, driven) = systems.inertias, systems.inputs.shape
-    row, stiffness, damping = np.zeros((count, size + driven)), line.contact_stiffnesses, line.contact_dampings
-    row[:, :n] = stiffness[..., lash, None] * line.lashes[..., lash, :]
-    row[:, n : 2 * n] = damping[..., lash, None] * line.lashes[..., lash, :]
+    row, twist, stiffness = np.zeros((count, size + driven)), line.lashes[..., lash, :], line.contact_stiffnesses
+    row[:, :n] = stiffness[..., lash, None] * twist
+    row[:, n : 2 * n] = line.contact_dampings[..., lash, None] * twist
     row[:, size + half_gap_of(lash)] = -stiffness[..., lash]
     return row
 

@@ -20,7 +20,6 @@ from clunk.study.errors import ClunkError
 from clunk.study.records import Rows, as_text
 from clunk.study.study import Study
 
-_EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "Qi [rad/s²]")
 _LAST = 1000  # events of a run that has too many: what repeats is among them
 
 
@@ -157,8 +156,7 @@ class Trajectory:
         several, severities = len(self.lashes) > 1, np.full(len(self.events), "", object)
         for each in self.lashes:
             severities[each.primaries] = [_severity(severity) for severity in each.impact_severity]
-        time, event, *others = _EVENT_COLUMNS
-        rows = [(time, event, *["lash"] * several, *others)]
+        rows = [("time [s]", "event", *["lash"] * several, "flank", "q' [rad/s]", "Qi [rad/s²]")]
         for k, row in enumerate(self.events[1:], 1):
             names = self.kind_name(k), *[self.lash_name(k)] * several, self.flank_name(k)
             rows.append((f"{row['time']:.7f}", *names, f"{row['speed']:+.6f}", severities[k]))

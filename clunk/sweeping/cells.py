@@ -121,8 +121,9 @@ class Grid:
         self.study = study
         self.design = design or design_of(study)
         self.layout = layout_of(study)
-        parameters = (each.parameter for each in self.design.parameters)
-        self.structural = tuple(key for key in parameters if not leaves_system(study, key))
+        self.structural = tuple(
+            each.parameter for each in self.design.parameters if not leaves_system(study, each.parameter)
+        )
         self.tile_cells = min(_TILE_CELLS[study.solver.method], most_of_load(study))
         if self.structural:
             self.tile_cells = min(self.tile_cells, _TILE_BATCHES * most_prepared(study))
@@ -249,8 +250,8 @@ class Grid:
         keeps_events : whether the events are wanted, until the next runs, and not what the config measures
         """
         lashes, measures = self.layout.lashes, self.study.measured and not keeps_events
-        for drivelines, cells, of_cells in self._by_batches(values, count):
-            batch, positions, cases = drivelines, cells, of_cells
+        for part_of_cells in self._by_batches(values, count):
+            batch, positions, cases = part_of_cells
             most = self.study.solver.max_events
             if measures and batch.systems.regimes.size > batch.systems.regime_strides[lashes]:
                 most += MOST_STAGES  # changes of stage need room too

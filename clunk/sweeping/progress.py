@@ -64,13 +64,17 @@ def note(text: str, progress: bool | Progress) -> None:
         print(text, file=sys.stderr)
 
 
+def unseen(_done: int, _total: int) -> None:
+    """Report nothing: the progress that nobody asked for."""
+
+
 @contextmanager
-def reporting(progress: bool | Progress, cells: int, study: Study, what: str = "cells") -> Iterator[Progress | None]:
+def reporting(progress: bool | Progress, study: Study, what: str = "cells") -> Iterator[Progress]:
     """Function to report progress to; a bar is shown when the kernels that the study needs are compiled."""
     from clunk.sweeping.cells import compiling_note, warm_up
 
     if progress is False:
-        yield None
+        yield unseen
     elif progress is True:
         note(compiling_note(study), progress)
         warm_up(study)

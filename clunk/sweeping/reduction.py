@@ -97,7 +97,7 @@ class Reduction:
     def run(
         self,
         engine: Executor,
-        progress: Progress | None,
+        progress: Progress,
         keep: Callable[[Tile], None] | None = None,
     ) -> None:
         """Run the cells that have not been added; of these, none that runs at an interrupt.
@@ -107,14 +107,12 @@ class Reduction:
         keep : called with each tile that has been added
         """
         with closing(run_tiles(self.grid, np.flatnonzero(~self.known), engine)) as tiles:
-            if progress is not None:
-                progress(self.done, self.design.cells)
+            progress(self.done, self.design.cells)
             for tile in tiles:
                 self.add(tile)
                 if keep is not None:
                     keep(tile)
-                if progress is not None:
-                    progress(self.done, self.design.cells)
+                progress(self.done, self.design.cells)
 
     def collected(self) -> tuple[Columns, Columns]:
         """Records of all rows, and their details, those of each row behind those of the row before it."""

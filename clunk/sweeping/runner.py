@@ -16,7 +16,7 @@ from clunk.study.parameters import distinct
 from clunk.study.study import Study
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.machine import provenance
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, unseen
 from clunk.sweeping.reduction import Reduction, regime_map
 from clunk.sweeping.sweep import engine_of
 
@@ -91,7 +91,7 @@ class Runner:
     def run(self, values: Floats, progress: Progress | None = None) -> Results:
         """Run points, (n, keys), whose values are allowed."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
-        reduction.run(self._engine, progress)
+        reduction.run(self._engine, progress or unseen)
         return regime_map(reduction, self._attributes)
 
     def values(self, columns: Mapping[str, npt.ArrayLike]) -> Floats:

@@ -131,7 +131,7 @@ class Job:
 
         Raises as `clunk.sweep`.
         """
-        with reporting(progress, self.design.cells, self.study) as report:
+        with reporting(progress, self.study) as report:
             began = time.perf_counter()
             reduction, parts = self._reduction, self.parts
             shared = reduction.grid.shared()
@@ -205,8 +205,8 @@ def _refuse_if_too_large(shape: Sequence[int]) -> None:
     needed = cells * _BYTES_PER_CELL
     if needed > 0.8 * memory:
         raise ClunkError(
-            f"The grid of {' x '.join(str(count) for count in shape)} = {cells:,} cells does not fit in memory: it "
-            f"takes about {needed / 2**30:.0f} GiB, and there are {memory / 2**30:.0f} GiB."
+            f"The grid of {' x '.join(map(str, shape))} = {cells:,} cells does not fit in memory: it takes "
+            f"about {needed / 2**30:.0f} GiB, and there are {memory / 2**30:.0f} GiB."
         )
 
 

@@ -107,7 +107,7 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
     records, outcomes = reduction.collected()
     texts, inverse = np.unique(outcomes["label"], return_inverse=True)
     labels, numbers = in_order([text.decode() for text in texts.tolist()])
-    codes, count = numbers[inverse.reshape(-1)], records["outcomes"]
+    codes, count = numbers[inverse], records["outcomes"]
     runs = np.zeros((reduction.rows, len(labels) + 1), np.int32)
     runs[np.repeat(np.arange(reduction.rows), count), codes] = outcomes["runs"]
     runs[:, FAILED_CODE] = grid.draws - runs.sum(axis=1)
