@@ -309,4 +309,4 @@ def test_impacts_between_parts_that_stick_die_out(text):
     assert runs[0].label == runs[1].label
     for run in runs:
         assert np.count_nonzero(run.events["kind"] == TOUCH) < 1000  # 310 are the most; 100,000 without end
-        assert balance(run).relative_residual < 1e-10
+        assert balance(run).relative_residual < 1e-10  # 2e-11 after the 2e4 steps of rk4, and by exact 1e-13

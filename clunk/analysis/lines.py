@@ -207,7 +207,7 @@ class Lines:
     triangles : Triangles
     run : runs points (n, 2); returns (n,) POINT
     cost : see `PointRuns`
-    beside : cost of a run but for itself and its touches: of preparing it, and of what other lashes do
+    beside : cost of a run beside its own and that of its touches: preparing it, and the touches of other lashes
     keys, brackets, runs : (n,) keys of edges with a crossing, ascending, and of each the two ends of its bracket
         (n, 2, 2), from the first node on, and POINT there (n, 2)
     met, met_labels : (m, 2) triple points, and the codes of the labels that meet there (m, 3)

@@ -31,7 +31,8 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
     than that ends with q' = 0: then the flanks lock, unless the torque that holds them so would pull: then they are
     open, with the gap at zero and about to open. Where other open lashes touch at the same time, as those of equal
-    branches do, all of them rebound, or come to rest, by their speeds before.
+    branches do, all of them rebound, or come to rest, by their speeds before. A touch so slow that its rebound would be
+    rounding leaves at rest what stuck.
     """
     system, x = at.system, at.x
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
@@ -61,7 +62,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
             if not rebounds:
                 _hold(system, resting, touch.lash, x, touch.side * at.inputs[gap_input(touch.lash)])
             touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
-    if system.friction_count > 0:
+    if system.friction_count > 0:  # where it stops, rates up to its speed are rounding
         regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN if stops else abs(speed), x)
         rubbing.stick_all(system, x, at.inputs)
     for touch in touches:

@@ -13,7 +13,8 @@ neither the order of elements nor that of events matters. Where some hold what o
 unique, and no motion depends on them: as many flanks stay locked as do not pull, as many frictions stick as hold the
 rest, and the others have a torque of F, either way, and a rate of twist that stays zero.
 
-An impact is over before a friction's torque makes an impulse: what it sets in motion slips, whatever stuck before.
+An impact is over before a friction's torque makes an impulse: what it sets in motion slips, whatever stuck before. But
+one that is as slow as rounding sets nothing in motion that stuck.
 """
 
 import numpy as np
@@ -71,7 +72,7 @@ def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
 
 @part
 def stop_all(system: System, regime: int, x: FloatArray) -> None:
-    """Make the rates of twist zero of frictions that stick in a regime, which change by less than rounding tells."""
+    """Make zero, in the state, the rates of twist of the frictions that stick in a regime  [rad/s]."""
     for k in range(system.friction_count):
         if system.friction_states[regime, k] == STICKS:
             _speed_up(system, system.frictions[k], -_rate(system, system.frictions[k], 0.0, x)[0], x)

@@ -250,8 +250,8 @@ class Grid:
         keeps_events : whether the events are wanted, until the next runs, and not what the config measures
         """
         lashes, measures = self.layout.lashes, self.study.measured and not keeps_events
-        for part_of_cells in self._by_batches(values, count):
-            batch, positions, cases = part_of_cells
+        for of_batch in self._by_batches(values, count):
+            batch, positions, cases = of_batch
             most = self.study.solver.max_events
             if measures and batch.systems.regimes.size > batch.systems.regime_strides[lashes]:
                 most += MOST_STAGES  # changes of stage need room too
