@@ -310,3 +310,45 @@ def test_impacts_between_parts_that_stick_die_out(text):
     for run in runs:
         assert np.count_nonzero(run.events["kind"] == TOUCH) < 1000  # 310 are the most; 100,000 without end
         assert balance(run).relative_residual < 1e-10  # 2e-11 after the 2e4 steps of rk4, and by exact 1e-13
+
+
+HELD_TWICE = """
+[driveline]
+names = ["a", "b"]
+inertias = [0.03624, 0.01171]
+shafts = [
+    { between = ["b", "a"], ratio = 1.87727, stiffness = 101.898, damping = 0.0372223, friction = 0.220308 },
+    { between = ["a", "ground"], stiffness = 19.511, ratio = -0.561092, damping = 0.00583654, friction = 0.0386235 },
+    { between = ["b", "ground"], damping = 0.0225213, friction = 0.0565257 },
+]
+[lash]
+between = ["a", "ground"]
+ratio = -2.65564
+backlash_deg = 5.13617
+radius = 0.05
+contact = { model = "restitution", restitution = 0.176498 }
+[load]
+profile = "smooth"
+on = "a"
+initial_torque = -5.47883
+final_torque = 1.7
+duration = 0.1
+[solver]
+step = 5e-5
+end_time = 1.0
+"""
+
+
+def test_what_several_frictions_hold_slips_in_all_that_are_at_their_limit():
+    """Flanks that let go leave two frictions at their limits, of parts that a third one ties: all go on together.
+
+    Which of the two sticks changed without end, at one instant: what set one of them off tore at the tie.
+    """
+    by_exact, by_rk4 = (
+        simulate(clunk.study_from_text(HELD_TWICE, overrides=f'solver.method="{method}"')) for method in METHODS
+    )
+    assert by_exact.label == by_rk4.label
+    np.testing.assert_array_equal(by_exact.events["kind"], by_rk4.events["kind"])
+    np.testing.assert_allclose(by_exact.events["time"], by_rk4.events["time"], atol=1e-7)  # rk4's error on 5e-5 s
+    for run in (by_exact, by_rk4):
+        assert balance(run).relative_residual < 1e-10

@@ -248,7 +248,7 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
 @part
 def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
     """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
-    _hold(at.system, held, lash, at.x, side * (at.inputs[gap_input(lash)] - share * _terms_of_gap(at, lash)))
+    _place(at.system, held, lash, at.x, 0, side * (at.inputs[gap_input(lash)] - share * _terms_of_gap(at, lash)))
 
 
 @inlined_part

@@ -47,9 +47,10 @@ from clunk.core.tables import (
 
 WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
-# tells that it does, but not what sets it in motion.
+# tells that it does, but not what sets it in motion. What holds on it goes along.
 _KICK = 1e-13
-_STARTING_TIME = 1e-4  # s, of the terms of an acceleration, which say what a rate could be that is rounding
+# s, of the terms of an acceleration, which say what a rate could be that is rounding, and that of the slowest swing
+_STARTING_TIME, _LONGEST = 1e-4, 0.1
 
 
 @inlined_part
@@ -75,7 +76,8 @@ def stop_all(system: System, regime: int, x: FloatArray) -> None:
     """Make zero, in the state, the rates of twist of the frictions that stick in a regime  [rad/s]."""
     for k in range(system.friction_count):
         if system.friction_states[regime, k] == STICKS:
-            _speed_up(system, system.frictions[k], -_rate(system, system.frictions[k], 0.0, x)[0], x)
+            row = system.frictions[k]
+            _speed_up(row, row, -_rate(system, row, 0.0, x)[0], x)
 
 
 @part
@@ -128,7 +130,8 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         if not (k == event or sticking >> k & 1):
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
-            most += terms * _STARTING_TIME
+            brake = weigh(system.frictions[k], system.inputs[0, :, input_of_friction(system, k)])
+            most += (terms + system.friction_torques[k] * abs(brake)) * _STARTING_TIME
             if abs(rate) > at.within * most:
                 continue
         resting |= 1 << k
@@ -150,18 +153,17 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             else:
-                _speed_up(system, row, _KICK * way * (most + _STARTING_TIME * size) - rate, x)
+                column = system.inputs[system.regimes[best].flow, :, input_of_friction(system, k)]
+                _speed_up(row, column, _KICK * way * (most + _LONGEST * size) - rate, x)
     return best, zero_guard, zero_order
 
 
 @part
-def _speed_up(system: System, row: FloatArray, kick: float, x: FloatArray) -> None:
-    """Add a kick to the rate, a row (N,) times the state  [rad/s]."""
-    weights, n = 0.0, system.inertias
-    for j in range(n, 2 * n):
-        weights += row[j] ** 2
-    for j in range(n, 2 * n):
-        x[j] += kick * row[j] / weights
+def _speed_up(row: FloatArray, along: FloatArray, kick: float, x: FloatArray) -> None:
+    """Add a kick to the rate, a row (N,) times the state, by a change along a direction (N,)  [rad/s]."""
+    rate = weigh(row, along)
+    for j in range(x.size):
+        x[j] += kick * along[j] / rate
 
 
 @part
