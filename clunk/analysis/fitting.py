@@ -125,19 +125,25 @@ class Candidates:
         return matches
 
     def _look_around(self, runner: Runner, matches: Records, numbers: Floats, point: Positions) -> Records:
-        """Matches of runs that missed the measured label, with their distance from it."""
-        steps = np.outer([-1.0, 1.0], _CHANGES).ravel()
-        changes = np.vstack([step * axis for axis in np.eye(len(self.axes)) for step in steps])  # (m, axes)
-        at = np.repeat(point, len(changes))
-        measured = self.points[at] * np.exp(np.tile(changes, (point.size, 1)))
-        codes, _ = self._run(runner, np.repeat(numbers, len(changes), axis=0), measured)
-        edits = self._edits(self.wanted[at], codes).reshape(point.size, -1)
-        sizes = np.abs(changes).sum(axis=1)
-        distances = np.where(edits == 0.0, sizes, _CHANGES[-1] + edits)  # no change does: impacts too many or too few
-        nearest = distances.argmin(axis=1)
-        matches["distance"], matches["axis"] = distances.min(axis=1), nearest // steps.size
-        met = edits[np.arange(point.size), nearest] == 0.0
-        matches["change"] = np.where(met, changes.sum(axis=1)[nearest], 0.0)
+        """Matches of runs that missed the measured label, with their distance from it.
+
+        Greater changes are tried only of the runs that smaller ones do not bring to it.
+        """
+        directions = np.kron(np.eye(len(self.axes)), [[-1.0], [1.0]])  # (m, axes)
+        fewest, missed = np.full(point.size, np.inf), np.arange(point.size)
+        for size in _CHANGES:
+            at, changes = np.repeat(missed, len(directions)), np.tile(size * directions, (missed.size, 1))
+            codes, _ = self._run(runner, numbers[at], self.points[point[at]] * np.exp(changes))
+            edits = self._edits(self.wanted[point[at]], codes).reshape(missed.size, -1)
+            fewest[missed] = np.minimum(fewest[missed], edits.min(axis=1))
+            met, nearest = fewest[missed] == 0.0, edits.argmin(axis=1)
+            found, nearest = missed[met], nearest[met]
+            matches["distance"][found], matches["axis"][found] = size, nearest // 2
+            matches["change"][found] = size * directions[nearest].sum(axis=1)
+            missed = missed[~met]
+            if not missed.size:
+                break
+        matches["distance"][missed] = _CHANGES[-1] + fewest[missed]  # impacts too many or too few
         return matches
 
     def _run(self, runner: Runner, numbers: Floats, measured: Floats) -> tuple[Codes, Results]:
