@@ -44,6 +44,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
         held = _held_through(system, regime, lash, side, at.inputs)
     for other in range(system.lash_count):
         if (closed & ~held) >> other & 1:
+            _place(system, held, lash, x, 0, side * at.inputs[gap_input(lash)])  # or it would move the others later
             _part_by(ROUNDING, at, held, other, system.contacts[before, other].side)
             regime = opened(system, regime, other)
     events = log.events

@@ -49,8 +49,7 @@ WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
 # tells that it does, but not what sets it in motion. What holds on it goes along.
 _KICK = 1e-13
-# s, of the terms of an acceleration, which say what a rate could be that is rounding, and that of the slowest swing
-_STARTING_TIME, _LONGEST = 1e-4, 0.1
+_SWING = 0.1  # s, of the slowest: with the terms of an acceleration it says what a rate could be that is rounding
 
 
 @inlined_part
@@ -131,7 +130,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             brake = weigh(system.frictions[k], system.inputs[0, :, input_of_friction(system, k)])
-            most += (terms + system.friction_torques[k] * abs(brake)) * _STARTING_TIME
+            most += (terms + system.friction_torques[k] * abs(brake)) * _SWING
             if abs(rate) > at.within * most:
                 continue
         resting |= 1 << k
@@ -154,7 +153,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             else:
                 column = system.inputs[system.regimes[best].flow, :, input_of_friction(system, k)]
-                _speed_up(row, column, _KICK * way * (most + _LONGEST * size) - rate, x)
+                _speed_up(row, column, _KICK * way * (most + _SWING * size) - rate, x)
     return best, zero_guard, zero_order
 
 
