@@ -309,7 +309,8 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
             instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
             noise = vectors.larger(noise, instant)
-        crosses, bad, grazes, s, known = _first_zero(space, near, order, noise, scale, part)
+        of_slope = 4.0 * noise + ROUNDING * vectors.magnitude(shortest * origin.slope)
+        crosses, bad, grazes, s, known = _first_zero(space, near, order, noise, of_slope, scale, part)
         lost |= bad
         grazing |= grazes
         event, part = vectors.choose(known < part, -1.0, event), known
@@ -320,13 +321,14 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
 
 @inlined_part
 def _first_zero(
-    space: Workspace, near: int, order: Vector, noise: Vector, scale: Vector, part: Vector
+    space: Workspace, near: int, order: Vector, noise: Vector, of_slope: Vector, scale: Vector, part: Vector
 ) -> tuple[int, int, int, Vector, Vector]:
     """The first zero within a part of the shortest span of the guards whose series are `space.series`.
 
     near : the lanes that are concerned
     order : how many of a guard's derivatives are zero at the beginning, itself included
-    noise, scale : its rounding, and what its grazing is relative to: 0 for a lash's guard that makes no margin
+    noise, of_slope : its rounding, and that of its derivatives over the span
+    scale : what its grazing is relative to: 0 for a lash's guard that makes no margin
 
     Returns
     -------
@@ -345,7 +347,7 @@ def _first_zero(
     starts = given | (start <= noise) & (start >= -within)
     order = vectors.choose(starts & ~given, 1.0, order)
     for n in range(1, 4):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
-        starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= 4.0 * noise)
+        starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= of_slope)
         order = vectors.choose(starts, vectors.larger(order, n + 1.0), order)
     near &= ~starts  # they move together, and nothing presses them on each other
     for n in range(3):  # zeros at the beginning are divided out
