@@ -17,7 +17,7 @@ The turns of guards, and how deep they would go, `search` finds within a step.
 from clunk.core.arrays import FloatArray
 from clunk.core.events import OPENING, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import rows
-from clunk.core.exact.workspace import GRAZING, Workspace, lash_at, system_of
+from clunk.core.exact.workspace import GRAZING, Workspace, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import lash_of, overlap_of
 from clunk.core.rigid import holding_torque
@@ -55,7 +55,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
         side = system.contacts[regime, lash].side
         torque = steady_torque(system, regime, lash, inputs)
         static = side * torque if system.impulsive else overlap_of(system, lash, side, x, inputs)
-        own = space.numbers[slot, lash_at(space, lash) :]
+        own = space.of_lashes[slot, lash]
         _take(own, steady_torque(system, start.regime, lash, start.before) / torque)
         space.courses[slot, lash].static = max(static, 0.0) if status == OK else 0.0
 
@@ -65,7 +65,7 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
     """Take what the event that ended a run's phase says of the margin of its lash."""
     system, row = at.system, space.runs[slot]
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
-    course, own = space.courses[slot, lash], space.numbers[slot, lash_at(space, lash) :]
+    course, own = space.courses[slot, lash], space.of_lashes[slot, lash]
     if guard.event_kind == TOUCH and guard.side == course.last_side:
         _take(own, course.margin)
     elif guard.event_kind == SEPARATION:
@@ -111,7 +111,7 @@ def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
     """
     system, regime = at.system, space.runs[slot].regime
     for lash in range(system.lash_count * system.impulsive):
-        side, own = system.contacts[regime, lash].side, space.numbers[slot, lash_at(space, lash) :]
+        side, own = system.contacts[regime, lash].side, space.of_lashes[slot, lash]
         before, slope = side * space.held[lash, 0], side * space.held[lash, 1]
         after, slope_after, _ = holding_torque(at, regime, lash)
         jump, rounding = side * after - before, GRAZING * own[rows.SCALE]
@@ -139,7 +139,7 @@ def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
 def take_margin_of_guard(space: Workspace, slot: int, guard: int, turn: float, deep: bool) -> None:
     """Take what a search found: the lowest turn of a guard of a run, or how deep the guard of its event would go."""
     run = space.runs[slot]
-    own = space.numbers[slot, lash_at(space, lash_of(space.system, run.regime, guard)) :]
+    own = space.of_lashes[slot, lash_of(space.system, run.regime, guard)]
     scale = own[rows.SCALE]
     if abs(turn) < abs(own[rows.MARGIN]) * scale:
         margin = (min(turn, 0.0) if deep else max(turn, 0.0)) / scale

@@ -27,7 +27,7 @@ from clunk.core.exact.margins import (
 )
 from clunk.core.exact.search import search
 from clunk.core.exact.step import take_step
-from clunk.core.exact.workspace import Workspace, lash_at, log_of, system_at, system_of
+from clunk.core.exact.workspace import Workspace, log_of, system_at, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
@@ -56,7 +56,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row.load, row.ended = start.load, rows.GOES_ON
     row.piece, row.rolled = begin_run(system, start, space.inputs[slot], log_of(space, slot))
     for lash in range(system.lash_count):
-        space.numbers[slot, lash_at(space, lash) + rows.MARGIN] = MOST
+        space.of_lashes[slot, lash, rows.MARGIN] = MOST
     _open_windows(space, slot, 0)
     set_static(space, slot, start)
     _enter(space, slot, 0.0, start.x, Entry(1, start.regime, -1, 0))
@@ -91,7 +91,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.inputs_at + system.input_count])
     for lash in range(system.lash_count):
         contact, course = system.contacts[regime, lash], space.courses[slot, lash]
-        own = space.numbers[slot, lash_at(space, lash) :]
+        own = space.of_lashes[slot, lash]
         held_from = course.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
         own[rows.HELD_FROM] = held_from if contact.closed else -np.inf
@@ -203,7 +203,7 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     row = space.runs[slot]
     row.status, row.time = status, time
     for lash in range(space.system.lash_count):
-        space.courses[slot, lash].least = space.numbers[slot, lash_at(space, lash) + rows.MARGIN]
+        space.courses[slot, lash].least = space.of_lashes[slot, lash, rows.MARGIN]
     _close_phase(space, slot, row.count - 1)
     push(space.pool, space.queues.over, slot)
 
@@ -213,14 +213,14 @@ def _open_windows(space: Workspace, slot: int, k: int) -> None:
     """Set the windows of a run to what they are as the phase of event `k` begins, see `runs.begin_windows`."""
     begin_windows(log_of(space, slot), k)
     for lash in range(space.system.lash_count):
-        copy(space.extremes[slot, k, lash], space.numbers[slot, lash_at(space, lash) :])  # WINDOW_MAX and WINDOW_MIN
+        copy(space.extremes[slot, k, lash], space.of_lashes[slot, lash])  # WINDOW_MAX and WINDOW_MIN
 
 
 @inlined_part
 def _close_phase(space: Workspace, slot: int, k: int) -> None:
     """Write the extremes of the accelerations in a run's windows so far beside event `k`."""
     for lash in range(space.system.lash_count):
-        own = space.numbers[slot, lash_at(space, lash) :]
+        own = space.of_lashes[slot, lash]
         copy(own[:2], space.extremes[slot, k, lash])  # WINDOW_MAX and WINDOW_MIN
 
 

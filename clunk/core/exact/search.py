@@ -11,7 +11,7 @@ import numpy as np
 
 from clunk.core.exact import curves, functionals, moving, rows, taylor
 from clunk.core.exact.margins import take_margin_of_guard
-from clunk.core.exact.workspace import Workspace, field, lash_at, set_field, shortest_span
+from clunk.core.exact.workspace import Workspace, field, set_field, shortest_span
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
@@ -78,7 +78,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
             space.pool.work[space.behind + rows.BOTTOM, lane],
         )
         if number < lashes:
-            own = space.numbers[slot, lash_at(space, number) :]
+            own = space.of_lashes[slot, number]
             own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = highest, lowest
         else:
             deep = number == space.searches_each - 1

@@ -72,6 +72,7 @@ class Workspace(NamedTuple):
     pool: Pool
     queues: Queues
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
+    of_lashes: FloatArray  # (S + 1, L, …)  those among them that are of each lash, as `rows` names them
     searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each run's searches; the last row is scratch again
     searches_each: int  # L + G + 1
     behind: int  # C, where the numbers that `rows` names begin in a row
@@ -131,6 +132,7 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
     lashes, driven = system.lash_count, system.input_count
     inputs_at = size + rows.shift(most, lashes)
     of_a_run, searches = inputs_at + driven, lashes + most + 1
+    numbers = aligned(slots + 1, whole(of_a_run))
     space = Workspace(
         system=system,
         systems=rows_of(system, systems),
@@ -145,7 +147,8 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
             places=np.zeros(WIDTH, np.int64),
         ),
         queues=queues,
-        numbers=aligned(slots + 1, whole(of_a_run)),
+        numbers=numbers,
+        of_lashes=numbers[:, size + rows.of_lash(0) : size + rows.of_lash(lashes)].reshape(slots + 1, lashes, -1),
         searches=aligned((slots + 1) * searches, whole(size + rows.OF_A_SEARCH + driven)),
         searches_each=searches,
         behind=size,
@@ -210,12 +213,6 @@ def set_field(space: Workspace, name: int, values: Vector) -> None:
 def field_of(space: Workspace, name: int, lash: int) -> Vector:
     """Load one number of a lash of each of the items that have been taken."""
     return field(space, rows.of_lash(lash) + name)
-
-
-@inlined_part
-def lash_at(space: Workspace, lash: int) -> int:
-    """Position in a run's row of the first number of a lash; `rows` names them."""
-    return space.behind + rows.of_lash(lash)
 
 
 @inlined_part
