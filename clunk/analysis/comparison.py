@@ -7,7 +7,6 @@ grazing ones; where they differ elsewhere, the step is too coarse.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,6 @@ _SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in ano
 _ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
 
 
-@dataclass(frozen=True)
 class Transition(Record):
     """A label of A that is another one in B, and in how many cells."""
 
@@ -42,7 +40,6 @@ class Transition(Record):
     cells: int = told("cells")
 
 
-@dataclass(frozen=True)
 class DifferingCell(Record):
     """A cell with two labels.
 
@@ -59,7 +56,6 @@ class DifferingCell(Record):
     flagged: bool = told("flagged")
 
 
-@dataclass(frozen=True)
 class Difference(Record):
     """The largest difference of a quantity, over the cells with equal labels.
 
@@ -76,8 +72,7 @@ class Difference(Record):
     at: dict[str, float | str] = told("at")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Record):
+class Comparison(Record, eq=False, repr=False):
     """Differences between two maps of the same grid, A and B.
 
     maps : A and B

@@ -6,7 +6,7 @@ What a fit makes of its config is a study with the estimate's values.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
@@ -34,7 +34,6 @@ _COUNT = 81  # values of a map's axis
 _BEYOND = 0.15  # of the measured span, on either side of it
 
 
-@dataclass(frozen=True)
 class Estimate(Record):
     """A parameter's number: a value, a factor or an offset.
 
@@ -48,7 +47,6 @@ class Estimate(Record):
     prior_interval: list[float] = told("of the prior", form=".4g")
 
 
-@dataclass(frozen=True)
 class Combination(Record):
     """A combination of parameters, and how much of the prior's spread the data leave to it.
 
@@ -59,7 +57,6 @@ class Combination(Record):
     direction: list[float] = told("direction (in the priors' standard deviations)", form="+.2f")
 
 
-@dataclass(frozen=True)
 class Measured(Record):
     """A measured label, and what the fit makes of it.
 
@@ -75,8 +72,7 @@ class Measured(Record):
     reason: str = told("why")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Fitted(Record):
+class Fitted(Record, eq=False, repr=False):
     """Outcome of a fit of d parameters to n measurements.
 
     study : Study, with its [fit]

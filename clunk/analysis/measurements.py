@@ -178,7 +178,6 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
     return Measurement(line, tuple(values), label, dict(impacts), std)
 
 
-@dataclass(frozen=True)
 class Point(Record):
     """A measured point and the cell nearest to it.
 
@@ -205,7 +204,6 @@ class Point(Record):
         return None if self.computed is None else self.measured == self.computed
 
 
-@dataclass(frozen=True)
 class Trend(Record):
     """Change of the number of double-sided impacts along one parameter, from each point to its neighbour.
 
@@ -222,8 +220,7 @@ class Trend(Record):
     opposed: int = told("opposed")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ExperimentComparison(Record):
+class ExperimentComparison(Record, eq=False, repr=False):
     """Comparison of measurements with a map.
 
     title : of the results

@@ -39,8 +39,7 @@ _SAME = 1e-3  # of the best value, by which those of starts that found the same 
 _FRONT = 9  # optima of a trade-off
 
 
-@dataclass(frozen=True, repr=False)
-class Optimum(Record):
+class Optimum(Record, repr=False):
     """The best values that were found, and what they give.
 
     study : Study with these values
@@ -83,8 +82,7 @@ def _rests_from(loads: Floats) -> Floats:
     return loads[np.arange(len(loads)), first, BEGIN]
 
 
-@dataclass(frozen=True, repr=False)
-class Front(Record):
+class Front(Record, repr=False):
     """A trade-off: the least of what is minimised for each of several bounds on a quantity, by falling bounds."""
 
     points: tuple[Optimum, ...] = told()

@@ -8,7 +8,6 @@ from B, n (d + 2) runs for d parameters (Saltelli et al. 2010, doi:10.1016/j.cpc
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,7 +34,6 @@ _RESAMPLES = 999
 _FEWEST = 16
 
 
-@dataclass(frozen=True)
 class Share(Record):
     """Share of a parameter in the variance of a quantity: alone (S), in all (ST), that is with its interactions.
 
@@ -48,7 +46,6 @@ class Share(Record):
     total_interval: list[float] = told(f"in all {CONFIDENCE:.0%}", form=".3f")
 
 
-@dataclass(frozen=True)
 class Indices(Record):
     """Sobol indices of one quantity: the shares of parameters in its variance.
 
@@ -70,8 +67,7 @@ class Indices(Record):
     indices: dict[str, Share] | None = told("share of the variance, alone (S) and in all (ST)")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity(Record):
+class Sensitivity(Record, eq=False, repr=False):
     """The Sobol indices of some quantities at one operating point.
 
     study : Study, at that point, with its tolerances

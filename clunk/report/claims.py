@@ -6,7 +6,6 @@ A claim has the verdict that it is known to deserve. One that is known to agree 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from typing import Any
@@ -36,7 +35,6 @@ class Verdict(StrEnum):
     CONTRADICTS = "the report contradicts itself"
 
 
-@dataclass(frozen=True)
 class Claim(Record):
     """A number or statement of the report beside ours.
 

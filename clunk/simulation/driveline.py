@@ -33,8 +33,7 @@ _ROUNDING = 1e-14  # of the terms of a sum that cancel
 _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Modes(Record):
+class Modes(Record, eq=False):
     """Oscillating modes of a driveline, lowest frequency first, and the rates of what decays without oscillating."""
 
     frequency: FloatArray = told(key="frequency_hz")  # (k,)  Hz, undamped natural frequency |λ|/2π

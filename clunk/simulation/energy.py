@@ -9,7 +9,6 @@ form in y at the stretch's start, and the work of the load's wave w, ∫ w θ' d
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,8 +22,7 @@ from clunk.study.arrays import Floats
 from clunk.study.records import Record, tells, told
 
 
-@dataclass(frozen=True, repr=False)
-class EnergyBalance(Record):
+class EnergyBalance(Record, repr=False):
     """Stored, supplied and lost energies of a run, from the load step to its end  [J]; S shafts.
 
     stored_before, stored_after : kinetic, in the shafts' springs, and in the indented flanks of the indentation model

@@ -1,7 +1,7 @@
 """Records: what an analysis or a command tells, said once, for people and for scripts.
 
-A record is a dataclass derived from `Record`, whose fields (`told`) and properties (`tells`) say under which heading,
-in which unit and in which format they are told. From that follow its text for 80 columns (`text_of`), its JSON
+A record is a frozen dataclass derived from `Record`, whose fields (`told`) and properties (`tells`) say under which
+heading, in which unit and in which format they are told. From that follow its text for 80 columns (`text_of`), its JSON
 (`plain`) and its repr. Values may be numbers, texts, dictionaries, records, and sequences of these.
 
 In a text, sentences come first (`SENTENCE` stands in the place of their heading), then single values, a line each, and
@@ -14,7 +14,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from html import escape
-from typing import Any, TypeVar
+from typing import Any, TypeVar, dataclass_transform
 
 SENTENCE = "."
 WIDTH = 80  # columns of a terminal
@@ -57,8 +57,15 @@ def tells(*how: str, **named: str) -> Callable[[Getter], Getter]:
     return decorate
 
 
+@dataclass_transform(frozen_default=True, field_specifiers=(told,))
 class Record:
-    """Results of an analysis or a command, for people and for scripts."""
+    """Results of an analysis or a command, for people and for scripts.
+
+    A class derived from it is a frozen dataclass; options of `dataclass` follow the base: `(Record, eq=False)`.
+    """
+
+    def __init_subclass__(cls, **options: bool) -> None:
+        dataclass(frozen=True, **options)(cls)
 
     def told(self) -> Iterator[tuple[str, Told, Any]]:
         """Name, description and value of everything that is told: fields and then properties."""
