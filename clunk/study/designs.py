@@ -146,7 +146,7 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
 def unused_parameters(study: Study) -> list[str]:
     """Swept, drawn, fitted or free keys that change nothing in the study's contact model."""
     entries = [each for place, _ in VARIED for each in items_of(value_at(study, place))]
-    keys = [key for each in entries for key in getattr(each, "keys", (each.parameter,))]
+    keys = [key for each in entries for key in each.keys]
     return [key for key in keys if is_unused(study, key)]
 
 

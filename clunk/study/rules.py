@@ -13,7 +13,7 @@ import numpy as np
 
 from clunk.study.arrays import Floats
 from clunk.study.axes import variable_of
-from clunk.study.document import Place, dotted
+from clunk.study.document import Place, dotted, items_of, value_at
 from clunk.study.errors import ConfigError, listing, shorten
 from clunk.study.keys import validated
 from clunk.study.loads import PROFILES, TORQUES, Load, uses
@@ -193,11 +193,11 @@ def _varied(config: Config) -> Iterator[Finding]:
     swept: dict[str, dict[str, Place]] = {}
     for table, verb in VARIED:
         taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
-        for k, entry in enumerate(getattr(getattr(config, table[0]), table[1], ())):
+        for k, entry in enumerate(items_of(value_at(config, table))):
             at = (*table, k)
             # a factor and an offset of a key act one after the other, in a fit on a value, too
             draws = getattr(entry, "draws", "value") if table != ("sweep", "samples") else "value"
-            for parameter in getattr(entry, "keys", (entry.parameter,)):
+            for parameter in entry.keys:
                 text = complaint(parameter, config)
                 if text is None and table != ("sweep", "axes"):
                     text = _undrawable(parameter, entry, table, parameter in swept, config)

@@ -34,6 +34,11 @@ class Varied(Table):
 
     parameter: Annotated[str, Field(description='a dotted numeric key, for example "load.ratio"')]
 
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The parameter alone, where a free one may be several keys, see `clunk.study.models.FreeParameter`."""
+        return (self.parameter,)
+
 
 class Axis(Varied):
     """A swept key with the values that it takes, in the key's unit: evenly spaced, or listed.

@@ -16,7 +16,7 @@ from clunk.results.maps import QUANTILES, ToleranceMap
 from clunk.study.arrays import Array, Cells, Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import along_run
-from clunk.study.parameters import drawn_numbers, nominal_value, quantity
+from clunk.study.parameters import drawn_numbers, nominal_value, quantity, with_draws
 from clunk.study.study import Study
 from clunk.sweeping.cells import Flag, Grid, Layout, Tile, most_of_load
 from clunk.sweeping.reduction import Reduction, heading_of, in_order, labels_of
@@ -91,13 +91,13 @@ class SampleGrid(Grid):
 
     def _values(self, cells: Cells) -> dict[str, Floats]:
         """Values of the parameters in some cells at one draw after the other, (draws cells,); the last is nominal."""
-        values = {key: np.tile(column, (self.draws + 1, 1)) for key, column in self.design.columns(cells).items()}
-        for tolerance, numbers in zip(self._tolerances, self.drawn, strict=True):
-            key = tolerance.parameter
-            if key not in values:
-                values[key] = np.full((self.draws + 1, cells.size), nominal_value(self._of_runs.study, key))
-            values[key][:-1] = tolerance.applied(numbers[:, None], values[key][:-1])
-        return {key: column.ravel() for key, column in values.items()}
+        columns, values = self.design.columns(cells), {}
+        drawn = with_draws(self.study, columns, self._tolerances, (numbers[:, None] for numbers in self.drawn))
+        for key, of_draws in drawn.items():
+            column = np.full((self.draws + 1, cells.size), columns.get(key, nominal_value(self.study, key)))
+            column[:-1] = of_draws
+            values[key] = column.ravel()
+        return values
 
 
 def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> ToleranceMap:
