@@ -22,7 +22,7 @@ class Channels(NamedTuple):
     steps: FloatArray  # (D, K, V, Z, Z)  exp(M h) for a step of each level, transposed
     rates: FloatArray  # (D, K, Z, Z)  M h for the shortest step, transposed
     series: FloatArray  # (D, K, C, Z, TERMS)  coefficients by z, of powers of t/h for the shortest step
-    of_impacts: int  # whether primary impacts are measured too
+    of_impacts: int  # how many quantities of primary impacts are measured; of none nothing is
     swings: IntArray  # (C - OF_LASH L,)  whether a measure is peak-to-peak, and not the largest magnitude
     contact_stiffness: FloatArray  # (D, L)  N m/rad
     contact_damping: FloatArray  # (D, L)  N m s/rad

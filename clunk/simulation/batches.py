@@ -14,7 +14,6 @@ from clunk.simulation.driveline import Driveline, prepare
 from clunk.simulation.load import WAVES
 from clunk.simulation.measures import channels_of
 from clunk.study.arrays import Floats, Positions
-from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows
 from clunk.study.study import Study, replace_values
@@ -40,7 +39,7 @@ def of_system(study: Study) -> Study:
     load = study.load.but(**dict.fromkeys(study.load.model_fields_set - kept))
     lashes = tuple(lash.but(backlash_deg=0.0) for lash in study.lashes)
     lash = lashes if isinstance(study.lash, tuple) else lashes[0]
-    return study.but(**dict.fromkeys(NOT_OF_A_RUN), title="", load=load, lash=lash)
+    return study.alone.but(title="", load=load, lash=lash)
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:

@@ -66,7 +66,7 @@ def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
     pressed = 0.0 if systems.impulsive else 1.0
     return Channels(
         *_tabulate(systems, rows),
-        of_impacts=int(bool(study.impacts.quantities)),
+        of_impacts=len(study.impacts.quantities),
         swings=np.array([measure.reduce == "peak-to-peak" for measure in study.measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
         contact_damping=pressed * np.atleast_2d(line.contact_dampings),

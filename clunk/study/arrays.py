@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.arrays import FloatArray, IntArray, Positions as Positions, Records as Records
+
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
-Integers = npt.NDArray[np.int64]
+Integers = IntArray
 Cells = Integers  # their numbers in C order
 Codes = Integers  # of labels and of other outcomes
 Nodes = Integers  # their numbers, see `clunk.analysis.lines`
 Counts = npt.NDArray[np.int32]
 Flanks = npt.NDArray[np.int8]  # +1 opposite, -1 initial, 0 none
-Floats = npt.NDArray[np.float64]
+Floats = FloatArray
 LabelCodes = npt.NDArray[np.int16]  # of a map's labels, -1 of a failed cell
-Positions = npt.NDArray[np.intp]  # in another array
-Records = npt.NDArray[np.void]

@@ -17,7 +17,6 @@ from clunk.study.axes import ResultAxis, run_axis
 from clunk.study.document import dotted, items_of, value_at
 from clunk.study.errors import Problem, report
 from clunk.study.keys import validated, with_tuples
-from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import distinct, drawn_numbers, quantity, with_draws
 from clunk.study.rules import VARIED, broken_rules
 from clunk.study.study import Study
@@ -104,7 +103,7 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     axes = tuple({"parameter": parameter, "values": values} for parameter, values in columns.items())
     sweep, findings = validated(Sweep, {"design": "zip", "axes": axes}, ("sweep",))
     if sweep is not None:
-        walked = study.model_copy(update={**dict.fromkeys(NOT_OF_A_RUN), "sweep": sweep})
+        walked = study.alone.but(sweep=sweep)
         findings = broken_rules(walked)
         if not findings:
             return design_of(walked)

@@ -7,7 +7,7 @@ validator here looks at one table; the rules that tie tables to one another are 
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, WithJsonSchema, model_validator
 
@@ -17,6 +17,7 @@ from clunk.study.loads import Load
 from clunk.study.sweeps import Draws, Sweep
 from clunk.study.tables import (
     MOST_DRAWS,
+    DrawCount,
     Ends,
     Finding,
     Inertia,
@@ -25,6 +26,7 @@ from clunk.study.tables import (
     OneOrSeveral,
     Positive,
     Quantity,
+    Seed,
     Table,
     Text,
     converted,
@@ -287,10 +289,10 @@ class Fit(Table):
     """
 
     parameters: Draws
-    candidates: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 3000
-    effective_draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 400
+    candidates: DrawCount = 3000
+    effective_draws: DrawCount = 400
     draws: Annotated[int, Field(ge=64, le=MOST_DRAWS)] = 8192
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
     wrong_labels: Annotated[float, Field(gt=0, lt=1, description="a number above 0 and below 1")] = 0.1
     scatter: Positive = 0.2
 
@@ -331,7 +333,7 @@ class Optimize(Table):
     minimize: Text
     subject_to: tuple[Text, ...] = ()
     robust: Annotated[float | None, Field(gt=0, le=1, description="a number above 0, up to 1")] = None
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
     parameters: Annotated[tuple[FreeParameter, ...], Field(min_length=1)]
 
 
@@ -348,6 +350,11 @@ class Config(Table):
     sweep: Sweep | None = None
     fit: Fit | None = None
     optimize: Optimize | None = None
+
+    @property
+    def alone(self) -> Self:
+        """The config of one run, without the tables that say which runs there are."""
+        return self.but(**dict.fromkeys(NOT_OF_A_RUN))
 
     @property
     def swept(self) -> Sweep:

@@ -17,7 +17,7 @@ from pydantic import Field, WithJsonSchema, model_validator
 
 from clunk.study.arrays import Floats
 from clunk.study.errors import listing
-from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table
+from clunk.study.tables import LONGEST_AXIS, DrawCount, Finding, Positive, Seed, Table
 
 LARGEST_GRID = 2**31  # cells
 _SPAN = ("start", "stop", "count", "scale")  # of an axis, instead of its values
@@ -221,8 +221,8 @@ class Sampling(Table):
     """
 
     method: Literal["sobol", "latin-hypercube"] = "sobol"
-    count: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 256
-    seed: Annotated[int, Field(ge=0)] = 0
+    count: DrawCount = 256
+    seed: Seed = 0
 
     def points(self, dimensions: int) -> Floats:
         """Points of the sample in the unit cube, (count, dimensions) float64 in [0, 1)."""

@@ -174,6 +174,8 @@ NotZero = Annotated[
     float, AfterValidator(_not_zero), AfterValidator(_sizeable), WithJsonSchema({"type": "number", "not": {"const": 0}})
 ]
 Text = Annotated[str, AfterValidator(_one_line)]
+Seed = Annotated[int, Field(ge=0)]
+DrawCount = Annotated[int, Field(ge=1, le=MOST_DRAWS)]
 Inertia = Annotated[
     int,
     PlainValidator(numbered_inertia),

@@ -15,10 +15,10 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from numpy.lib.recfunctions import require_fields
 
 from clunk.core import tile as kernel
+from clunk.core.arrays import StopFlag
 from clunk.core.events import EVENT
 from clunk.core.exact.flows import Flows
 from clunk.core.measures import OF_IMPACTS, measure_runs
@@ -32,7 +32,6 @@ from clunk.study.designs import Design, design_of
 from clunk.study.models import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study
 
-Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 _Part = tuple[kernel.Batch, Cells]  # drivelines, and the number among them of each of those that were asked for
 Runs = tuple[Cells, Records, Records, Records]  # positions of runs, their records, impacts and events
 
@@ -202,7 +201,7 @@ class Grid:
             self._kept |= {rows[k]: (batch, number) for number, k in enumerate(missing[positions].tolist())}
             yield batch, numbers
 
-    def run(self, cells: Cells, stop: Flag) -> Tile:
+    def run(self, cells: Cells, stop: StopFlag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         began = time.perf_counter()
         tile = self.tile_of(cells, stop)
@@ -210,11 +209,11 @@ class Grid:
         self.pace[0] = pace if cells.size > FEW else min(pace / _SLOWER, self.pace[0])
         return tile
 
-    def tile_of(self, cells: Cells, stop: Flag) -> Tile:
+    def tile_of(self, cells: Cells, stop: StopFlag) -> Tile:
         """Run cells, as `run` does, which measures how long it takes."""
         return self.run_at(cells, self.design.columns(cells), stop)
 
-    def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:
+    def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: StopFlag) -> Tile:
         """Run cells with these values of the design's parameters, whatever the design's are."""
         layout = self.layout
         done, rows, pieces = [np.zeros(0, np.int64)], [np.zeros(0, layout.record)], [np.zeros(0, layout.detail)]
@@ -243,7 +242,7 @@ class Grid:
         return records, events
 
     def _runs(
-        self, values: Mapping[str, Floats], count: int, stop: Flag, *, keeps_events: bool = False
+        self, values: Mapping[str, Floats], count: int, stop: StopFlag, *, keeps_events: bool = False
     ) -> Iterator[Runs]:
         """Run cells with room for few events at first; those that find too little are run again, with more.
 
@@ -302,7 +301,7 @@ class Grid:
                 yield batch, positions, cases._replace(drivelines=of_cells[positions])
 
     def _run(
-        self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int, logs: Records, states: Floats
+        self, batch: kernel.Batch, cases: kernel.Cases, stop: StopFlag, room: int, logs: Records, states: Floats
     ) -> tuple[Records, Records]:
         """Records and impacts, as the grid's layout has them, of the runs that were done before `stop` was set.
 
@@ -329,7 +328,7 @@ class Grid:
         return self._measured(batch, cases, kernel.Output(cells, details, logs, states))
 
     def _followed(
-        self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int, logs: Records, states: Floats
+        self, batch: kernel.Batch, cases: kernel.Cases, stop: StopFlag, room: int, logs: Records, states: Floats
     ) -> tuple[Records, Records]:
         """CELL (n, lashes) and IMPACT of the first n runs, which were done before `stop` was set; see `_run`.
 

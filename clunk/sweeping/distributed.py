@@ -21,9 +21,10 @@ from distributed import Client, KilledWorker, LocalCluster
 from distributed.utils import silence_logging_cmgr
 from llvmlite.binding import get_host_cpu_name
 
+from clunk.core.arrays import StopFlag
 from clunk.results.files import reason
 from clunk.study.arrays import Cells
-from clunk.sweeping.cells import Flag, Grid, Tile
+from clunk.sweeping.cells import Grid, Tile
 from clunk.sweeping.engines import EngineError
 from clunk.sweeping.machine import available_cores, versions
 from clunk.sweeping.progress import note
@@ -121,7 +122,7 @@ class Cluster(Executor):
         return EngineError(text)
 
 
-def _run(wanted: Mapping[str, str], grid: Grid, cells: Cells, stop: Flag) -> Tile:
+def _run(wanted: Mapping[str, str], grid: Grid, cells: Cells, stop: StopFlag) -> Tile:
     """Run a tile on a worker, which keeps its grid, with the drivelines that it has prepared, for other tiles.
 
     Raises EngineError where the worker has other versions than those that are wanted.

@@ -11,7 +11,6 @@ from clunk.results.maps import Results
 from clunk.study.arrays import Floats
 from clunk.study.designs import Design, along_run, design_of_points
 from clunk.study.errors import ConfigError
-from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import distinct
 from clunk.study.study import Study
 from clunk.sweeping.cells import Grid
@@ -59,7 +58,7 @@ class Runner:
     def __init__(
         self, study: Study, keys: Sequence[str], *, workers: int | None = None, engine: Executor | None = None
     ) -> None:
-        self.study = study.but(**dict.fromkeys(NOT_OF_A_RUN))
+        self.study = study.alone
         self.keys = distinct(study, keys)
         if not self.keys:
             raise ConfigError("A Runner needs a key or more, in which its runs differ.")

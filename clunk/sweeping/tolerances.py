@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clunk.core.arrays import StopFlag
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
@@ -18,7 +19,7 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import along_run
 from clunk.study.parameters import drawn_numbers, nominal_value, quantity, with_draws
 from clunk.study.study import Study
-from clunk.sweeping.cells import Flag, Grid, Layout, Tile, most_of_load
+from clunk.sweeping.cells import Grid, Layout, Tile, most_of_load
 from clunk.sweeping.reduction import Reduction, heading_of, in_order, labels_of
 
 TOLERANCE_CELL = np.dtype(
@@ -74,7 +75,7 @@ class SampleGrid(Grid):
             sample.append(ResultAxis(name, numbers, known.name + suffix[draws], known.symbol, unit))
         return tuple(sample)
 
-    def tile_of(self, cells: Cells, stop: Flag) -> Tile:
+    def tile_of(self, cells: Cells, stop: StopFlag) -> Tile:
         """Run cells; a tile that was stopped has none."""
         count = (self.draws + 1) * cells.size
         tile = self._of_runs.run_at(np.arange(count), self._values(cells), stop)

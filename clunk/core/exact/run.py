@@ -88,7 +88,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     numbers[rows.ELAPSED], numbers[rows.TRY] = 0.0, np.inf
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     entered = system.regimes[regime]
-    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.inputs_at + system.input_count])
+    set_weighed(system, regime, inputs, space.weighed[slot])
     for lash in range(system.lash_count):
         contact, course = system.contacts[regime, lash], space.courses[slot, lash]
         own = space.of_lashes[slot, lash]

@@ -458,8 +458,7 @@ def _begin_search(
         copy(space.numbers[slot, : space.behind], space.searches[item])
         for k in range(rows.OF_A_SEARCH):
             space.searches[item, space.behind + k] = space.notes[k, lane]
-        inputs = space.numbers[slot, space.inputs_at : space.inputs_at + system.input_count]
-        copy(inputs, space.searches[item, space.behind + rows.OF_A_SEARCH :])
+        copy(space.weighed[slot], space.searches[item, space.behind + rows.OF_A_SEARCH :])
         space.runs[slot].searches += 1
         push(space.pool, queue + _functional(space, regime, n), item)
 

@@ -73,10 +73,11 @@ class Workspace(NamedTuple):
     queues: Queues
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
     of_lashes: FloatArray  # (S + 1, L, …)  those among them that are of each lash, as `rows` names them
+    weighed: FloatArray  # (S + 1, I)  and those that are u, what the run's regime makes of its inputs
     searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each run's searches; the last row is scratch again
     searches_each: int  # L + G + 1
     behind: int  # C, where the numbers that `rows` names begin in a row
-    inputs_at: int  # and where u does, what the run's regime makes of its inputs
+    inputs_at: int  # and where u does
     runs: Records  # (S + 1,) RUN
     courses: Records  # (S, L) sequence.COURSE
     loads: FloatArray  # (loads, P, PIECE)
@@ -149,6 +150,7 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
         queues=queues,
         numbers=numbers,
         of_lashes=numbers[:, size + rows.of_lash(0) : size + rows.of_lash(lashes)].reshape(slots + 1, lashes, -1),
+        weighed=numbers[:, inputs_at:of_a_run],
         searches=aligned((slots + 1) * searches, whole(size + rows.OF_A_SEARCH + driven)),
         searches_each=searches,
         behind=size,
