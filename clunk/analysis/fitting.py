@@ -286,11 +286,10 @@ def fit(
     """
     experiment = measurements if isinstance(measurements, Experiment) else read_experiment(measurements)
     check(study, experiment)
-    assert study.fit is not None
-    settings, priors = study.fit, study.fit.parameters
     name, plain = study.lash_names[lash_position(lash, study.lash_names)], study.but(sweep=None)
     with engine_of(None, workers) as engine, reporting(progress, plain, what="candidates") as report:
         candidates = Candidates(study, experiment, name, engine, report)
+        settings, priors = candidates.fit, candidates.priors
         nominal = [{"factor": 1.0, "offset": 0.0}.get(p.draws, nominal_value(study, p.parameter)) for p in priors]
         nominal_matches = candidates.run(np.array([nominal]))
         _search(candidates)

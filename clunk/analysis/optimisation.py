@@ -9,9 +9,9 @@ It ends by construction: generations and starts are counted beforehand.
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -100,8 +100,7 @@ class Front(Record, repr=False):
         return [{name: best.quantities[name] for name in self.traded} | best.parameters for best in self.points]
 
 
-@dataclass(frozen=True, eq=False)
-class Outcomes:
+class Outcomes(NamedTuple):
     """Results of candidates, (n,) each: see `Optimum`.
 
     excess : how far the needed share of the drivelines is from meeting the conditions, in [0, 2); 0 where it does

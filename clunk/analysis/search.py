@@ -147,7 +147,8 @@ def narrow(
         where that is unknown; asked `_GUESSES` times for the same two outcomes
     """
     ends = points.take(_changes(points, points["cell"])[:, None] + np.arange(2))
-    guesses = np.full(len(ends), 0 if guess is None else _GUESSES)  # that are left
+    may_guess = 0 if guess is None else _GUESSES
+    guesses = np.full(len(ends), may_guess)  # that are left
     is_slow, narrowed = np.zeros(len(ends), bool), [ends[:0]]
     origin, begun = np.arange(len(ends)), len(ends)  # of each bracket the one that it is a part of
     finished = np.zeros(begun, np.int64)  # parts of each
@@ -193,8 +194,8 @@ def narrow(
         at = _changes(points, bracket)
         former, bracket = ends, bracket[at]
         ends = points.take(at[:, None] + np.arange(2))
-        is_other = (ends["outcome"] != former["outcome"][bracket]).any(axis=1) & (guess is not None)
-        guesses = np.where(is_other, _GUESSES, np.maximum(guesses[bracket] - 1, 0))
+        is_other = (ends["outcome"] != former["outcome"][bracket]).any(axis=1)
+        guesses = np.where(is_other, may_guess, np.maximum(guesses[bracket] - 1, 0))
         is_slow = ends["value"][:, 1] - ends["value"][:, 0] > _STALLED * width[bracket]
         origin = origin[bracket]
     ends = np.concatenate(narrowed)

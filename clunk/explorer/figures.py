@@ -400,8 +400,11 @@ class RunFigures:
                 x = each.begin + 0.012 * (end - begin)
                 arrows.append((x, each.smallest, each.largest, f"Q{each.number}"))
         touches.sort(key=lambda touch: touch[-1])  # primary ones on top
-        changes = {"flanks": _columns(_FLANKS, flanks), "touches": _columns(_TOUCHES, touches)}
-        changes["arrows"] = _columns(_ARROWS, arrows)
+        changes = {
+            "flanks": _columns(_FLANKS, flanks),
+            "touches": _columns(_TOUCHES, touches),
+            "arrows": _columns(_ARROWS, arrows),
+        }
         shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
         data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
         for panel in _PANELS:

@@ -53,8 +53,7 @@ class Subject:
         grid = [axis for axis in changing if axis.parameter != RUN]  # runs have no order
         self.plane = tuple(parted_axes(grid or changing)[0])
         self.slices = tuple(axis for axis in changing if axis not in self.plane)
-        swept = (axis for axis in results.parameters if axis.parameter != LASH)
-        self.swept = tuple(axis for axis in swept if len(axis) > 1)
+        self.swept = tuple(axis for axis in results.parameters if axis.parameter != LASH and len(axis) > 1)
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""

@@ -363,9 +363,11 @@ class Workbench:
 
     def _complain_soon(self, error: Exception) -> None:
         """Say what went wrong in a thread."""
-        if not isinstance(error, ClunkError):
+        if isinstance(error, ClunkError):
+            self._say_soon(str(error))
+        else:
             logging.getLogger(__name__).error("the explorer could not do what was asked", exc_info=error)
-        self._say_soon(str(error) if isinstance(error, ClunkError) else f"internal error: {error!r}")
+            self._say_soon(f"internal error: {error!r}")
 
 
 def _box(direction: str, *elements: UIElement, **styles: str) -> Pane:

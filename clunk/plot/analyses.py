@@ -157,9 +157,8 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
         curves.append(Line2D([], [], **_WITHOUT))
     scale_panels(figure, [ax], (x, thresholds.along))
     fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis) == 1]
-    notes = []
-    for code in sorted(seen, key=lambda code: (primary_impacts(str(thresholds.word(code))), code)):
-        notes.append(style.swatch(words(thresholds.word(code)), fills[code]))
+    ordered = sorted(seen, key=lambda code: (primary_impacts(str(thresholds.word(code))), code))
+    notes = [style.swatch(words(thresholds.word(code)), fills[code]) for code in ordered]
     line = "; ".join([f"{drawn}: {plain.outcome.heading_with_unit}", *fixed])
     style.lay_out(figure, ax, study.title, line, [*notes, *(curves if nominal else [])])
     return figure

@@ -2,8 +2,8 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import ticker
@@ -20,8 +20,7 @@ _X = "load.ratio"  # from left to right wherever it is an axis
 USUAL = (_X, "lash.backlash_deg")  # stay axes of a map where others are fixed
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """The axes that a map is drawn over, ascending, and the order of its arrays along them, or its cells as points.
 
     axes : x and, if there are two, y

@@ -17,9 +17,8 @@ import math
 import zlib
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -47,8 +46,7 @@ _SMALL = 4096  # bytes of values that would only grow by compression
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
 
 
-@dataclass(frozen=True, eq=False)
-class Variable:
+class Variable(NamedTuple):
     """An array over named dimensions.
 
     dims : their names; a variable named after its only dimension is the coordinate of that
@@ -61,8 +59,7 @@ class Variable:
     attributes: Mapping[str, str | Array]
 
 
-@dataclass(frozen=True, eq=False)
-class Dataset:
+class Dataset(NamedTuple):
     """Variables by name, those of dimensions before what lies along them, and what is said of all."""
 
     variables: Mapping[str, Variable]

@@ -4,6 +4,7 @@ Every phase starts from the state that the run recorded at its event; nothing is
 searched again.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -300,6 +301,4 @@ def _after_event(
 
 def _grid(start: float, stop: float, step: float) -> Integers:
     """The multiples of a step between two times, neither of them included."""
-    first = int(np.floor(start / step + _NEAR)) + 1
-    last = int(np.ceil(stop / step - _NEAR)) - 1
-    return np.arange(first, last + 1)
+    return np.arange(math.floor(start / step + _NEAR) + 1, math.ceil(stop / step - _NEAR))

@@ -31,7 +31,7 @@ from clunk.study.errors import ClunkWarning, ConfigError, Problem, listing, repo
 from clunk.study.keys import PRESETS, validated, with_tuples, wrong_value
 from clunk.study.loads import PROFILES, STEP_KEYS, TORQUES, read_trace, uses
 from clunk.study.parameters import Names, names_of, parameter_at, place_of
-from clunk.study.rules import VARIED, doubts
+from clunk.study.rules import doubts, varied_tables
 from clunk.study.study import Study
 from clunk.study.tables import OTHER_UNITS, Finding, is_number, position_of
 
@@ -163,7 +163,7 @@ def _preset(raw: Document, assignments: Mapping[Place, Any]) -> tuple[str, Docum
         name = PRESETS[0]  # so that the rest of the file can be checked
     preset = _read_preset(name)
     _warn_of_fewer_shafts(name, preset, raw)
-    swept = [str(axis.get("parameter")).removeprefix("load.") for at, axis in _entries(raw) if at[1] == "axes"]
+    swept = [str(axis.get("parameter")).removeprefix("load.") for at, axis in varied_tables(raw) if at[1] == "axes"]
     of_file = [(table, key) for table in ("load", "lash") if isinstance(raw.get(table), dict) for key in raw[table]]
     for at in (*of_file, *(("load", key) for key in swept)):
         _displace(preset, at)
@@ -235,16 +235,6 @@ def _unwrap_lash(document: Document) -> None:
         document["lash"] = lashes[0]
 
 
-def _entries(document: Mapping[str, Any]) -> list[tuple[Place, Document]]:
-    """The axes, samples, tolerances, fitted and free parameters of a document that are tables, each with its place."""
-    return [
-        ((table, name, k), entry)
-        for (table, name), _ in VARIED
-        for k, entry in enumerate(items_of(value_at(document, (table, name))))
-        if isinstance(entry, dict)
-    ]
-
-
 def _load_trace(document: Document, folder: FilePath) -> list[Finding]:
     """Put the times and torques of the load's file, if it has one alone, in its place."""
     load: Any = document.get("load")
@@ -271,14 +261,14 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
     profile = str(value_at(document, ("load", "profile")) or "step")
     names, optimize = names_of(document), value_at(document, ("optimize",))
     inertias = names["driveline.inertias"]
-    for table, key in ((optimize, "minimize"), *((entry, "parameter") for _, entry in _entries(document))):
+    for table, key in ((optimize, "minimize"), *((entry, "parameter") for _, entry in varied_tables(document))):
         if isinstance(table, dict) and key in table:
             table[key] = _numbered(table[key], names)
     if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
         ends = items_of(value_at(document, ("lash", "between")))
         own = next((end for end in ends if type(end) is int or end in inertias), 1)
         document["impacts"].setdefault("acceleration_of", own)
-    for at, entry in _entries(document):
+    for at, entry in varied_tables(document):
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
             continue

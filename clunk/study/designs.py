@@ -14,11 +14,11 @@ import numpy.typing as npt
 
 from clunk.study.arrays import Cells, Floats
 from clunk.study.axes import ResultAxis, run_axis
-from clunk.study.document import dotted, items_of, value_at
+from clunk.study.document import dotted
 from clunk.study.errors import Problem, report
 from clunk.study.keys import validated, with_tuples
 from clunk.study.parameters import distinct, drawn_numbers, quantity, with_draws
-from clunk.study.rules import VARIED, broken_rules
+from clunk.study.rules import broken_rules, varied_tables
 from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Sweep
 
@@ -144,8 +144,7 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
 
 def unused_parameters(study: Study) -> list[str]:
     """Swept, drawn, fitted or free keys that change nothing in the study's contact model."""
-    entries = [each for place, _ in VARIED for each in items_of(value_at(study, place))]
-    keys = [key for each in entries for key in each.keys]
+    keys = [key for _, table in varied_tables(study) for key in table.keys]
     return [key for key in keys if is_unused(study, key)]
 
 

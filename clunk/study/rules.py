@@ -7,7 +7,7 @@ draws, fit and optimisation give to keys, one key and two keys at a time.
 import math
 from collections.abc import Collection, Iterator, Mapping
 from itertools import chain, combinations, pairwise, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from clunk.study.loads import PROFILES, TORQUES, Load, uses
 from clunk.study.models import OF_IMPACTS, Config, FreeParameter, Part, part_of
 from clunk.study.parameters import drawn_numbers, located, nominal_value, with_values
 from clunk.study.sweeps import Draw
-from clunk.study.tables import Finding, misnamed
+from clunk.study.tables import Finding, Table, misnamed
 
 # Names in results files and of quantities, all of results/quantities.csv among them, that no measure can have
 _TAKEN = {
@@ -32,13 +32,13 @@ _TAKEN = {
 }
 _OF_BOUNDARIES = "boundary", "junction", "region", "ring", "unresolved"  # with these begin those of traced lines
 # Tables of what is swept, drawn, fitted and free, with how they are told
-VARIED: tuple[tuple[tuple[str, str], str], ...] = (
-    (("sweep", "axes"), "swept by"),
-    (("sweep", "samples"), "drawn by"),
-    (("sweep", "tolerances"), "drawn by"),
-    (("fit", "parameters"), "fitted by"),
-    (("optimize", "parameters"), "free as"),
-)
+_VARIED: dict[tuple[str, str], str] = {
+    ("sweep", "axes"): "swept by",
+    ("sweep", "samples"): "drawn by",
+    ("sweep", "tolerances"): "drawn by",
+    ("fit", "parameters"): "fitted by",
+    ("optimize", "parameters"): "free as",
+}
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
 MOST_REGIMES = 30_000  # of one driveline, which take some 5 s to prepare
@@ -188,10 +188,20 @@ def _measured(config: Config) -> Iterator[Finding]:
 # --- Swept, drawn, fitted and free keys ------------------------------------------------------------------------------
 
 
+def varied_tables(config: Any) -> list[tuple[Place, Any]]:
+    """The axes, samples, tolerances, fitted and free parameters of a config that are tables, each with its place."""
+    return [
+        ((*place, k), table)
+        for place in _VARIED
+        for k, table in enumerate(items_of(value_at(config, place)))
+        if isinstance(table, dict | Table)
+    ]
+
+
 def _varied(config: Config) -> Iterator[Finding]:
     """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
-    swept: dict[str, dict[str, Place]] = {}
-    for table, verb in VARIED:
+    swept = {axis.parameter for axis in config.swept.axes}
+    for table, verb in _VARIED.items():
         taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
         for k, entry in enumerate(items_of(value_at(config, table))):
             at = (*table, k)
@@ -209,7 +219,6 @@ def _varied(config: Config) -> Iterator[Finding]:
                     yield (*at, "parameter"), text
                 else:
                     before[draws] = at
-        swept = swept or taken
     optimize = config.optimize
     if optimize is not None and optimize.robust is not None and not config.swept.tolerances:
         yield ("optimize", "robust"), "a share of drawn drivelines needs [[sweep.tolerances]], and there are none"

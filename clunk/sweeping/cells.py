@@ -8,10 +8,9 @@ import math
 import re
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -59,8 +58,7 @@ _MEASURED, _MORE_MEASURED = 512, 8  # `kernel.EVENTS` and `kernel.MORE` of runs 
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     """Types of a tile's arrays.
 
     record, detail : dtype
@@ -78,8 +76,7 @@ class Layout:
         return (cells[:, None] * self.lashes + np.arange(self.lashes)).ravel()
 
 
-@dataclass(frozen=True, eq=False)
-class Tile:
+class Tile(NamedTuple):
     """Results of some cells.
 
     cells : (n,) int64, numbers in C order of the design; in any order, consecutive or not

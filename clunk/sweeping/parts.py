@@ -30,7 +30,6 @@ from clunk.sweeping.cells import Tile
 from clunk.sweeping.engines import deferred_signals
 from clunk.sweeping.machine import versions
 
-_ARRAYS = ("cells", "records", "details")
 _DIGEST = 32  # bytes of SHA-256
 _PART = 2.0  # s, at least: a shorter sweep is as soon run again; a part of 20,000 cells is 3 MB and takes 25 ms
 _LONGEST_PART = 30.0  # s
@@ -211,8 +210,8 @@ def write_tiles(file: BinaryIO, tiles: Sequence[Tile], origin: bytes) -> None:
     """
     content = io.BytesIO()
     for tile in tiles:
-        for name in _ARRAYS:
-            np.save(content, getattr(tile, name))
+        for array in tile:
+            np.save(content, array)
     file.write(hashlib.sha256(origin + content.getbuffer()).digest())
     file.write(content.getbuffer())
 
@@ -224,7 +223,7 @@ def tiles_of(raw: bytes, origin: bytes) -> list[Tile]:
         raise ValueError("damaged, or of another study or version")
     arrays = io.BytesIO(content)
     while arrays.tell() < len(content):
-        tiles.append(Tile(*(np.load(arrays) for _ in _ARRAYS)))
+        tiles.append(Tile(*(np.load(arrays) for _ in Tile._fields)))
     return tiles
 
 
