@@ -127,7 +127,7 @@ def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
     """Whether a label hangs on how deep the guard goes that ended a run's phase."""
     system, row = system_of(space, slot), space.runs[slot]
     guard, lash = system.guards[row.regime, n], lash_of(system, row.regime, n)
-    course, now = space.courses[slot, lash], row.time + space.numbers[slot, space.behind + rows.ELAPSED]
+    course, now = space.courses[slot, lash], row.time + space.fields[slot, rows.ELAPSED]
     if guard.event_kind == TOUCH:
         return is_primary(guard.side, course.last_side, course.from_sticking != 0)
     if guard.event_kind == OPENING:  # by force: it counts after a contact that held

@@ -70,7 +70,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     that a jump pulls apart separate, which are events; they are not asked where an event has just chosen their states.
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
-    numbers, load, jumps = space.numbers[slot, space.behind :], space.loads[row.load], row.ended != rows.BY_EVENT
+    numbers, load, jumps = space.fields[slot], space.loads[row.load], row.ended != rows.BY_EVENT
     row.piece = go_on(system, load, row.piece, time, x, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
@@ -141,7 +141,7 @@ def advance(space: Workspace, stop: StopFlag) -> None:
 def _follow(space: Workspace, slot: int) -> None:
     """Send a run on: end its phase, queue its next step, or end it."""
     row, system = space.runs[slot], system_of(space, slot)
-    now = row.time + space.numbers[slot, space.behind + rows.ELAPSED]
+    now = row.time + space.fields[slot, rows.ELAPSED]
     if row.ended == rows.BY_EVENT or row.ended == rows.AT_END:
         end = end_of_piece(system, space.loads[row.load], row.piece)
         if end - now < INSTANT and end < system.end_time[0]:
@@ -188,7 +188,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
         note_impacts(space, slot, at, entry)
         _take_events(space, slot, row.count, entry.written)
     else:
-        numbers = space.numbers[slot, space.behind :]
+        numbers = space.fields[slot]
         order = int(numbers[rows.ZERO_ORDER])
         entry = Entry(row.count, row.regime, int(numbers[rows.ZERO_GUARD]) if order > 0 else -1, order)
         note_holding(space, slot, at)

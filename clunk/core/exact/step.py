@@ -126,7 +126,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         run = space.runs[slot]
         run.ended, run.guard = int(space.notes[0, lane]), int(space.notes[1, lane])
         run.quality |= QUALITY_GRAZING * (grazing >> lane & 1)
-        space.numbers[slot, space.behind + rows.TRY] = space.notes[2, lane]
+        space.fields[slot, rows.TRY] = space.notes[2, lane]
 
 
 @inlined_part

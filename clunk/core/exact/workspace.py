@@ -72,7 +72,8 @@ class Workspace(NamedTuple):
     pool: Pool
     queues: Queues
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
-    of_lashes: FloatArray  # (S + 1, L, …)  those among them that are of each lash, as `rows` names them
+    fields: FloatArray  # (S + 1, …)  those among them that `rows` names
+    of_lashes: FloatArray  # (S + 1, L, …)  those among these that are of each lash
     weighed: FloatArray  # (S + 1, I)  and those that are u, what the run's regime makes of its inputs
     searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each run's searches; the last row is scratch again
     searches_each: int  # L + G + 1
@@ -129,7 +130,6 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
     # in order: span, short, enter, each by group; search by flow and functional; over; follow
     groups = system.leaders.size
     over = 3 * groups + count * flows.watch.shape[2]
-    queues = Queues(0, groups, 2 * groups, 3 * groups, over, over + 1)
     lashes, driven = system.lash_count, system.input_count
     inputs_at = size + rows.shift(most, lashes)
     of_a_run, searches = inputs_at + driven, lashes + most + 1
@@ -147,8 +147,9 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
             items=np.zeros(WIDTH, np.int64),
             places=np.zeros(WIDTH, np.int64),
         ),
-        queues=queues,
+        queues=Queues(0, groups, 2 * groups, 3 * groups, over, over + 1),
         numbers=numbers,
+        fields=numbers[:, size:],
         of_lashes=numbers[:, size + rows.of_lash(0) : size + rows.of_lash(lashes)].reshape(slots + 1, lashes, -1),
         weighed=numbers[:, inputs_at:of_a_run],
         searches=aligned((slots + 1) * searches, whole(size + rows.OF_A_SEARCH + driven)),
