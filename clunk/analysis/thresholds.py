@@ -248,8 +248,7 @@ def thresholds(
             return runs
 
         points, _ = with_hidden(run(scanned, np.tile(along_axis.values, design.cells)), run, _HALVINGS)
-        span = np.ptp(along_axis.values)
-        low, high = narrow(points, run, _MOST, span)
+        low, high = narrow(points, run, _MOST, np.ptp(along_axis.values))
     return Thresholds(
         study=study,
         along=along_axis,

@@ -265,9 +265,8 @@ def thresholds(
     from clunk.study.designs import nominal, with_axes_at
 
     _, axes = analysis.axes_of(study, along)
-    if at:
-        swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
-        study = with_axes_at(study, nearest_values(swept, at, study))
+    swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
+    study = with_axes_at(study, nearest_values(swept, at, study))
     is_toleranced = study.swept.tolerances != ()
     if quantiles and not is_toleranced:
         raise ClunkError("--quantiles need [[sweep.tolerances]], and the config has none.")

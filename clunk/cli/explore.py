@@ -34,14 +34,14 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
     else:
         from clunk.study.config import load_study
         from clunk.study.designs import with_cells
-        from clunk.sweeping.sweep import Job
+        from clunk.sweeping.sweep import sweep
 
         study = load_study(source, overrides)
         if study.swept.tolerances:
             terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
         study = with_cells(study)
         terminal.warn(study)
-        results = Job(study).run(progress=True)
+        results = sweep(study, progress=True)
     explorer = serve(results, name=source.stem, port=port or 0, browser=False)
     click.echo(explorer.url)
     click.echo("Ctrl-C ends it", err=True)

@@ -63,7 +63,7 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON f
 workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
 
 
-def study_of(source: Path, overrides: Sequence[str] = ()) -> Study:
+def study_of(source: Path, overrides: Sequence[str]) -> Study:
     """The study of a config, or of a results file."""
     from clunk.study.config import load_study, study_from_text
 

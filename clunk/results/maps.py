@@ -426,12 +426,12 @@ class ToleranceMap(Map):
             for name, each in OF_RUNS.items()
             if each.type in (TEXT, YES_NO) and name not in (CHATTER, NOMINAL)
         }
-        quantile = replace(self.quantities["severity_quantiles"], dimension="")
+        quantile = self.quantities["severity_quantiles"]._replace(dimension="")
         quantiles = {
-            name: replace(quantile, name=name, words=f"{100 * level:g} % {quantile.words}")
+            name: quantile._replace(name=name, words=f"{100 * level:g} % {quantile.words}")
             for name, level in zip(_QUANTILE_NAMES, QUANTILES, strict=True)
         }
-        mean = replace(self.quantities["severity_mean"], name="severity")
+        mean = self.quantities["severity_mean"]._replace(name="severity")
         return {**of_labels, "severity": mean, **quantiles}
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:

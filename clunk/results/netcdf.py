@@ -17,6 +17,7 @@ import math
 import zlib
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -146,25 +147,17 @@ def _create(file: h5py.File, name: str, variable: Variable, dataset: Dataset) ->
     values, is_dimension = variable.values, variable.dims == (name,)
     counts, places = dataset.places(name)
     shape = (*counts.shape, places)[: len(variable.dims)]
+    create = partial(file.create_dataset, name, track_order=True)
     if values.dtype.kind == "U":
         # Words of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
-        stored = file.create_dataset(name, data=values.astype(object), dtype=h5py.string_dtype(), track_order=True)
+        stored = create(data=values.astype(object), dtype=h5py.string_dtype())
     elif is_dimension or math.prod(shape) * values.itemsize <= _SMALL:
-        stored = file.create_dataset(name, data=dataset.padded(name), track_order=True)
+        stored = create(data=dataset.padded(name))
     else:
         rows = min(max(_SLAB // (places * counts[0].size), 1), len(counts))
         together = min(-(-_CHUNK // (rows * counts[0].size)), places)
         chunks = (rows, *counts.shape[1:], together)[: len(shape)]
-        stored = file.create_dataset(
-            name,
-            shape,
-            values.dtype,
-            chunks=chunks,
-            compression="gzip",
-            compression_opts=_LEVEL,
-            shuffle=True,
-            track_order=True,
-        )
+        stored = create(shape, values.dtype, chunks=chunks, compression="gzip", compression_opts=_LEVEL, shuffle=True)
         _compress(values.ravel(), counts, places, stored)
     _set_attributes(stored, variable.attributes)
     if is_dimension:

@@ -36,9 +36,8 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -80,8 +79,7 @@ _WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
 }
 
 
-@dataclass(frozen=True)
-class Quantity:
+class Quantity(NamedTuple):
     """A quantity of each run or cell of a map, or of each primary impact, label or quantile of a cell.
 
     name : as options name it; of what a file holds that of the variable and of the attribute of the map
@@ -189,7 +187,7 @@ class Quantity:
         """`nominal_label` with the label of the run without tolerances; any other quantity as it is."""
         if self.name != NOMINAL:
             return self
-        return replace(self, words=f"the label is the nominal {nominal}", bound=nominal)
+        return self._replace(words=f"the label is the nominal {nominal}", bound=nominal)
 
 
 def _read() -> dict[str, dict[str, Quantity]]:
@@ -222,7 +220,7 @@ def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[st
         of, described = measure["of"], table[measure["quantity"]]
         about = f"{described.words} of {of}" if isinstance(of, str) else f"{described.long_name} {of}"
         words = f"{measure['reduce']} {about}"
-        measured[measure["name"]] = replace(described, name=measure["name"], words=words, long_name=words)
+        measured[measure["name"]] = described._replace(name=measure["name"], words=words, long_name=words)
     return measured | {f"impact_{name}": table[f"impact_{name}"] for name in of_impacts}
 
 
@@ -278,7 +276,7 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
             "is one such as label=DS(1)SS(1)."
         )
     told = value if isinstance(value, str) else f"{value:.15g}"
-    compared = replace(OF_RUNS[CHATTER], name=f"{name}{relation}{told}", base=quantity, relation=relation, bound=value)
+    compared = OF_RUNS[CHATTER]._replace(name=f"{name}{relation}{told}", base=quantity, relation=relation, bound=value)
     if is_drawn and compared.of_label("NI") is None:
         raise ClunkError(
             f"A tolerance map has no {compared.name}: it keeps what its draws have in the mean and their quantiles, "
@@ -286,7 +284,7 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
         )
     meaning = f"{quantity.heading} {_RELATIONS[relation][1]} {told} {quantity.unit_symbol}".rstrip()
     meaning = f"the {meaning}" if quantity.type == TEXT else meaning
-    return replace(compared, words=meaning, long_name=f"whether {meaning}")
+    return compared._replace(words=meaning, long_name=f"whether {meaning}")
 
 
 def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | None:

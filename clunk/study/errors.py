@@ -3,8 +3,7 @@
 import difflib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from clunk.study.records import counted, cut, fill
 
@@ -17,8 +16,7 @@ class ClunkWarning(UserWarning):
     """A warning of what a user has probably not meant."""
 
 
-@dataclass(frozen=True)
-class Problem:
+class Problem(NamedTuple):
     """An error in a config: its key, its line and a message.
 
     key : dotted key, items by number from 1; empty where the file as a whole is meant
@@ -78,8 +76,10 @@ def shorten(value: object, width: int = 40) -> str:
     return cut(text, width)
 
 
-def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The known name that `name` most likely means, if any is alike enough, up to 1."""
+def nearest(name: object, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """The known name that `name` most likely means, if it is a text and any is alike enough, up to 1."""
+    if not isinstance(name, str):
+        return None
     return next(iter(difflib.get_close_matches(name[:100].lower(), known, n=1, cutoff=cutoff)), None)
 
 

@@ -6,8 +6,7 @@ Tables are validated by their models, with every error as a sentence at its plac
 import functools
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -24,8 +23,7 @@ _REQUIRED: dict[str, list[str]] = {"Config": ["driveline"], "Shaft": ["between"]
 _REQUIRED |= {table: [] for table in ("DrivelineConfig", "Lash", "Contact", "Load", "Impacts")}
 
 
-@dataclass(frozen=True)
-class Key:
+class Key(NamedTuple):
     """The values that one place of a config allows.
 
     must_be : what is allowed, to follow "must be"
@@ -89,12 +87,12 @@ def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
         one, several = map(_resolved, node["oneOf"])
         if "properties" in one:
             table, *inner = _keys(place, one)
-            yield place, replace(table[1], must_be=f"a table, or an array of tables, [[{dotted(place)}]]")
+            yield place, table[1]._replace(must_be=f"a table, or an array of tables, [[{dotted(place)}]]")
             yield from inner
             yield from ((at, _of_item(key, dotted(place))) for at, key in _keys((*place, ITEM), several["items"]))
             return
         leaf = _leaf({**one, **{word: value for word, value in node.items() if word != "oneOf"}})
-        yield place, replace(leaf, must_be=f"{leaf.must_be}, or a list of such numbers")
+        yield place, leaf._replace(must_be=f"{leaf.must_be}, or a list of such numbers")
         yield (*place, ITEM), _leaf(_resolved(several["items"]))
         return
     if "properties" in node:
@@ -117,7 +115,7 @@ def _of_item(key: Key, table: str) -> Key:
     if key.quantity is None:
         return key
     name, symbol, unit = key.quantity.name.removesuffix(f" at the {table}"), key.quantity.symbol, key.quantity.unit
-    return replace(key, quantity=Quantity(f"{name} of {table} {{}}", f"{symbol}{{}}", unit))
+    return key._replace(quantity=Quantity(f"{name} of {table} {{}}", f"{symbol}{{}}", unit))
 
 
 def _resolved(node: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -237,6 +235,6 @@ def wrong_value(place: Place, value: Any, *, is_missing: bool = False) -> str:
     if is_missing and place == ("driveline",):
         return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias, and the shafts that join them"
     key = keys()[_pattern_of(place)]
-    likely = nearest(value, key.choices) if isinstance(value, str) else None
+    likely = nearest(value, key.choices)
     hint = f"; did you mean {shorten(likely)}?" if likely else ""
     return f"{'missing' if is_missing else f'found {shorten(value)}'}; must be {key.must_be}{hint}"

@@ -39,11 +39,11 @@ class Study(Config):
             ("load", f"{load.profile} on inertia {load.on}"),
             ("solver", f"{solver.method}, to {solver.end_time:g} s"),
         ]
-        for axis in sweep.axes:
-            spread = f"{axis.grid[0]:g} to {axis.grid[-1]:g}, {axis.count_of_values} values"
-            rows.append(("swept", f"{axis.parameter}: {spread}"))
-        for draw in (*sweep.samples, *sweep.tolerances):
-            rows.append(("drawn", f"{draw.parameter}: {draw.distribution}"))
+        rows += [
+            ("swept", f"{axis.parameter}: {axis.grid[0]:g} to {axis.grid[-1]:g}, {axis.count_of_values} values")
+            for axis in sweep.axes
+        ]
+        rows += [("drawn", f"{draw.parameter}: {draw.distribution}") for draw in (*sweep.samples, *sweep.tolerances)]
         return as_text(f"clunk.Study {self.title!r}", rows)
 
     __str__ = __repr__

@@ -127,7 +127,7 @@ def position_of(value: Any, count: int, names: Sequence[str | None], noun: str) 
     known = [name for name in names if isinstance(name, str)]
     if value in known:
         return names.index(value)
-    likely = nearest(value, known) if isinstance(value, str) else None
+    likely = nearest(value, known)
     hint = f"did you mean {shorten(likely)}? It" if likely else "it"
     numbers = [f"a number from 1 to {count}"] if count else []
     choices = listing([*numbers, *map(shorten, known)], "or")

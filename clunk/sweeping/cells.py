@@ -385,4 +385,4 @@ def compiling_note(*studies: Study) -> str:
 
 def warm_up(study: Study) -> None:
     """Compile the kernels of a study, or load them, before a sweep rather than in the middle of it."""
-    Grid(study.but(sweep=None)).run_at(np.arange(1), {}, np.zeros(1, np.uint8))
+    Grid(study.but(sweep=None)).run(np.arange(1), np.zeros(1, np.uint8))
