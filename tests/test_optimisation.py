@@ -275,6 +275,14 @@ def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
     assert np.all(np.diff(durations) > -0.006)
 
 
+def test_a_bound_that_the_best_keeps_already_is_not_searched(brief, monkeypatch):
+    monkeypatch.setattr(optimisation, "_FRONT", 9)
+    points = front(damped_ramp("load.duration", []), "primary_impacts").points
+    impacts = [best.quantities["primary_impacts"] for best in points]
+    assert len(impacts) > 1
+    assert impacts == sorted(set(impacts), reverse=True)
+
+
 @pytest.mark.parametrize("quantity", ["severity", " severity "])
 def test_what_is_minimised_is_not_traded(quantity):
     with pytest.raises(ClunkError, match="severity cannot be traded: it is what is minimised"):

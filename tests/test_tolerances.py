@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray
 from conftest import EXACT, axis, drawn, values
+from helpers.maps import with_arrays
 from matplotlib.colors import to_rgb
 
 import clunk as clunk_api
@@ -389,6 +390,16 @@ class TestFigures:
         uncertain = np.count_nonzero(likely.max(axis=0) < 0.95 * found.runs[..., :-1].sum(axis=-1))
         assert 0 < uncertain < found.uncertain
         assert [note.text for note in layers.notes] == [f"paler: less than 95 % likely, {uncertain} cells"]
+
+    def test_over_a_quantity_lines_are_drawn_between_the_likeliest_groups(self, found):
+        one, two, other = map(found.labels.index, ["DS(1)", "DS(1)SS(1)", "NI"])
+        probability, sequence = found.probability.copy(), found.sequence.copy()
+        probability[0, 0], sequence[0, 0] = 0.0, other
+        probability[0, 0, [one, two, other]] = 0.3, 0.3, 0.4  # the likeliest label is not in the likeliest group
+        split = with_arrays(found, probability=probability, sequence=sequence)
+        layers = Layers.of(split, View.of(split), "severity", most=1)
+        assert layers.names[layers.codes[0, 0]] == "1 double-sided"
+        assert np.array_equal(layers.codes, Layers.of(split, View.of(split), most=1).codes)
 
     def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
         base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'

@@ -372,6 +372,8 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
     points = [best]
     try:
         for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
+            if points[-1].quantities[quantity] <= bound:
+                continue  # the best within a wider bound, and so within this one
             bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
             found = optimize(study.but(optimize=bounded), shown=quantity, **options)
             if not found.holds:

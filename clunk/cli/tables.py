@@ -58,8 +58,9 @@ def print_outcomes(results: AnyMap) -> None:
         print_table([row for row in rows if row in shown])
         if len(shown) < len(rows):
             click.echo(f"  and {len(rows) - len(shown):,} labels of no more cells each; --json prints all")
-        click.echo()
-        print_values(part.facts)
+        if part.facts:
+            click.echo()
+            print_values(part.facts)
 
 
 def outcomes(results: AnyMap) -> dict[str, Any]:

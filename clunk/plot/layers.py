@@ -154,7 +154,9 @@ class Layers:
             layers = replace(
                 layers, facts=(draws, f"lines: boundaries of the {'most likely ' if draws else ''}regimes")
             )
-        return replace(layers._grouped(most), shaded=True, undecided=np.zeros_like(undecided))
+        layers = layers._grouped(most)
+        codes = layers._faded(drawn).codes if isinstance(drawn, ToleranceMap) else layers.codes
+        return replace(layers, codes=codes, shaded=True, undecided=np.zeros_like(undecided))
 
     def _grouped(self, most: int) -> "Layers":
         """Regions of labels, or of their numbers of double-sided impacts where the labels are too many to be read."""

@@ -164,7 +164,7 @@ class Boundaries:
         at = ", ".join(f"{axis.parameter} = {value:.6g}" for axis, value in first)
         return (
             f"unresolved: {counted(len(self.unresolved), 'place')}, first {at}; labels change there more finely than "
-            "lines are traced, or by rounding"
+            "the runs along lines tell, or by rounding"
         )
 
     def meeting_rows(self) -> list[dict[str, str]]:

@@ -73,7 +73,8 @@ def read_results(path: FilePath) -> Results:
     results = read_map(path)
     if not isinstance(results, Results):
         raise StoreError(
-            f"{path} holds a tolerance map, where a regime map is needed: sweep without [[sweep.tolerances]]."
+            f"{path} holds a tolerance map, where a regime map is needed: sweep without [[sweep.tolerances]], or read "
+            "it by clunk.read_map."
         )
     return results
 
