@@ -46,12 +46,12 @@ from clunk.core.tables import (
 )
 
 WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
-# s, of the terms of an acceleration, which say what a rate could be that is rounding
-_STARTING_TIME = 1e-4
+# s, of the terms of an acceleration, which say what a rate could be that is rounding: of one from step to step, and of
+# one that is told by modes, the slowest of which swing for as long
+OF_STEPS, OF_MODES = 1e-4, 0.1
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
-# tells that it does, but not what sets it in motion. What sticks to it goes along. It is more than modes round a rate
-# by, and so little that it counts as zero.
-_KICK, _KICKED_FOR = 1e-13, 5e-3  # s, of the terms of an acceleration
+# tells that it does, but not what sets it in motion. What sticks to it goes along.
+_KICK = 1e-13
 
 
 @inlined_part
@@ -132,7 +132,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             brake = weigh(system.frictions[k], system.inputs[0, :, input_of_friction(system, k)])
-            most += (terms + system.friction_torques[k] * abs(brake)) * _STARTING_TIME
+            most += (terms + system.friction_torques[k] * abs(brake)) * OF_STEPS
             if abs(rate) > at.within * most:
                 continue
         resting |= 1 << k
@@ -155,7 +155,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
                 zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
             else:
                 column = system.inputs[system.regimes[best].flow, :, input_of_friction(system, k)]
-                _speed_up(row, column, _KICK * way * (most + _KICKED_FOR * size) - rate, x)
+                _speed_up(row, column, _KICK * way * (most + at.rounded * size) - rate, x)
     return best, zero_guard, zero_order
 
 

@@ -125,7 +125,7 @@ def begin_run(system: System, start: Start, inputs: FloatArray, log: Log) -> tup
     copy(start.before, inputs)
     rubbing.stick_all(system, start.x, inputs)
     piece = go_on(system, load, -1, 0.0, start.x, inputs)  # none before it
-    at = Moment(system, 0.0, start.x, inputs, rubbing.WITHIN)
+    at = Moment(system, 0.0, start.x, inputs, rubbing.WITHIN, rubbing.OF_STEPS)
     record(at, log, 0, 0.0, LOAD_STEP, start.regime, -1, contacts[0].side)
     return piece, turn_back(system, start.x)
 

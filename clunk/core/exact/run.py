@@ -32,7 +32,7 @@ from clunk.core.jit import inlined_part, part
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import gap_input, roll, turn_back
-from clunk.core.rubbing import WITHIN, tolerance_after
+from clunk.core.rubbing import OF_MODES, WITHIN, tolerance_after
 from clunk.core.runs import (
     Entry,
     Moment,
@@ -76,7 +76,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
     if (system.friction_count > 0 or system.impulsive) and (jumps or not chooses(system, row.regime, row.guard)):
         row.count = entry.written
-        entry = recheck(Moment(system, time, x, inputs, WITHIN), log_of(space, slot), entry, jumps)
+        entry = recheck(Moment(system, time, x, inputs, WITHIN, OF_MODES), log_of(space, slot), entry, jumps)
         _take_events(space, slot, row.count, entry.written)
     regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
@@ -163,7 +163,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
     """End a phase by an event, or where another piece of the load begins, and enter what follows."""
     system, row = system_of(space, slot), space.runs[slot]
     x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
-    at = Moment(system, time, x, space.inputs[slot], tolerance_after(time - row.time))
+    at = Moment(system, time, x, space.inputs[slot], tolerance_after(time - row.time), OF_MODES)
     log = log_of(space, slot)
     if system.first_rolling >= 0:
         first, speeds = system.first_rolling, x[system.inertias :]

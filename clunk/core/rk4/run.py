@@ -21,7 +21,7 @@ from clunk.core.regimes import System, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, IN_PLACE, STEP, STRIDE, STRIDES, Steps
 from clunk.core.rk4.step import Room, enter, expand, finish, first_event, widen_extremes
-from clunk.core.rubbing import WITHIN, tolerance_after
+from clunk.core.rubbing import OF_STEPS, WITHIN, tolerance_after
 from clunk.core.runs import BEGIN, Entry, Log, Moment, Outcome, Start, begin_windows, end_of_piece, go_on, roll_states
 from clunk.core.status import EVENT_BUFFER_FULL, INTERRUPTED, NON_FINITE, OK, QUALITY_COMPLETE
 from clunk.core.sums import combine, copy, weigh
@@ -72,7 +72,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     while True:
         time = begin + index * grid.step + offset
         if not is_chosen:
-            entry = recheck(Moment(system, time, x, inputs, WITHIN), log, entry, guard < 0)
+            entry = recheck(Moment(system, time, x, inputs, WITHIN, OF_STEPS), log, entry, guard < 0)
         roll_states(system, rolled, log, written, entry.written)
         for k in range(written, entry.written):
             begin_windows(log, k)
@@ -133,7 +133,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             entry, is_chosen = Entry(written, entry.regime, -1, 0), False
             continue
 
-        at = Moment(system, time, x, inputs, tolerance_after(time - began))
+        at = Moment(system, time, x, inputs, tolerance_after(time - began), OF_STEPS)
         if is_instant(at, log, written):
             begin_windows(log, written - 1)
         is_chosen = chooses(system, entry.regime, guard)
