@@ -46,9 +46,8 @@ from clunk.core.tables import (
 )
 
 WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
-# s, of the terms of an acceleration, which say what a rate could be that is rounding: of one from step to step, and of
-# one that is told by modes, the slowest of which swing for as long
-OF_STEPS, OF_MODES = 1e-4, 0.1
+_STARTING_TIME = 1e-4  # s, of the terms of an acceleration, which say what a rate could be that is rounding
+OF_STEPS, OF_MODES = 3e-4, 0.1  # s, and by what it is above that of states from step to step, or of the slowest modes
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
 # tells that it does, but not what sets it in motion. What sticks to it goes along.
 _KICK = 1e-13
@@ -132,7 +131,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             rate, most = _rate(system, system.frictions[k], 0.0, x)
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             brake = weigh(system.frictions[k], system.inputs[0, :, input_of_friction(system, k)])
-            most += (terms + system.friction_torques[k] * abs(brake)) * OF_STEPS
+            most += (terms + system.friction_torques[k] * abs(brake)) * _STARTING_TIME
             if abs(rate) > at.within * most:
                 continue
         resting |= 1 << k

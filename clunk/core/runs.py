@@ -47,7 +47,7 @@ class Moment(NamedTuple):
     x: FloatArray  # (N,)  [rad, rad/s]
     inputs: FloatArray  # (I,)  d; the twists at which frictions begin to stick are written there
     within: float  # share of its terms that counts as zero of what rests, see `rubbing.tolerance_after`
-    rounded: float  # s, of accelerations' terms, by which the method rounds rates, see `rubbing.OF_MODES`
+    rounded: float  # s, of the terms of an acceleration, above what the method rounds a rate by, see `rubbing.OF_MODES`
 
 
 class Entry(NamedTuple):
