@@ -390,7 +390,7 @@ end_time = 1.0
 def test_a_part_that_is_pushed_off_a_flank_does_not_touch_it(method):
     """The event's time is rounded, and so is the gap that it closes; what that moves must not reach the flank behind.
 
-    It did, by 9e-13 rad, at one in a hundred of these torques.
+    It did, by up to 9e-13 rad, at some of these torques by exact.
     """
     for final_torque in np.linspace(-6.0, -2.0, 101):
         text = PUSHED_OFF.replace("FINAL", str(final_torque))

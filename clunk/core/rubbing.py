@@ -46,8 +46,9 @@ from clunk.core.tables import (
 )
 
 WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
-_STARTING_TIME = 1e-4  # s, of the terms of an acceleration, which say what a rate could be that is rounding
-OF_STEPS, OF_MODES = 3e-4, 0.1  # s, and by what it is above that of states from step to step, or of the slowest modes
+# s, for which the terms of an acceleration make a rate: one that could be rounding; one above the rounding of rk4's
+# states, which counts as zero at rest; and one above that of the slowest modes, by exact
+_STARTING_TIME, OF_STEPS, OF_MODES = 1e-4, 3e-4, 0.1
 # Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
 # tells that it does, but not what sets it in motion. What sticks to it goes along.
 _KICK = 1e-13

@@ -95,7 +95,7 @@ class Boundaries:
     region_label : (R,) int16, code
     region_area : (R,) float64, share of the map
     unresolved : (U, 2) float64, a place in each cell where no line could be located: a label has no width there or
-        hangs on rounding, or labels change more finely than lines are traced
+        hangs on rounding, or labels change more finely than the runs along lines tell
     lash : name of the lash whose labels they are; empty where there is one
     """
 
