@@ -246,7 +246,7 @@ def test_under_tolerances_numbers_are_told_as_the_needed_share_has_them():
     """Of 16 drivelines the eighth: what is minimised, and what it is traded for, whose bounds hold in that share."""
     text = DAMPED_RAMP.format(minimize='"severity"', subject_to="[]", longest=0.1)
     study = study_from_text(text.replace("[optimize]", "[optimize]\nrobust = 0.5", 1) + TOLERANCES)
-    problem, candidates = Problem(study, shown="approach_velocity"), np.array([[0.1, 100.0]])
+    problem, candidates = Problem(study, traded="approach_velocity"), np.array([[0.1, 100.0]])
     outcomes, runs = problem(candidates), np.sort(problem._run(candidates)[0], axis=0)
     assert np.all(runs[7, 2:] < runs[15, 2:])
     assert list(outcomes.quantities) == ["severity", "approach_velocity"]
@@ -293,13 +293,14 @@ def test_an_interrupted_trade_off_hands_over_the_points_that_are_done(brief, mon
     monkeypatch.setattr(optimisation, "_FRONT", 3)
     done = []
 
-    def optimised(*arguments, **options):
+    def best(*arguments):
         if len(done) == 2:
             raise KeyboardInterrupt("the best for the bound that is not done")
-        done.append(optimize(*arguments, **options))
+        done.append(found(*arguments))
         return done[-1]
 
-    monkeypatch.setattr(optimisation, "optimize", optimised)
+    found = optimisation._best
+    monkeypatch.setattr(optimisation, "_best", best)
     with pytest.raises(KeyboardInterrupt) as caught:
         front(damped_ramp("load.duration", []), "severity")
     (so_far,) = caught.value.args

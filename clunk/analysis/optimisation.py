@@ -18,7 +18,7 @@ import numpy as np
 from clunk.analysis.search import in_halves
 from clunk.core.runs import BEGIN, LEVEL, SLOPE
 from clunk.core.status import Status
-from clunk.results.quantities import TEXT, YES_NO, measuring, quantity_of
+from clunk.results.quantities import TEXT, YES_NO, Quantity, measuring, quantity_of
 from clunk.simulation.load import cases_of
 from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.designs import design_of, nominal
@@ -50,7 +50,7 @@ class Optimum(Record, repr=False):
     margin : least distance of a run to another label; NaN where the method tells none
     share : of the drivelines in which the conditions hold; None without tolerances
     found : how many of the starts found this value
-    runs : how many it took
+    runs : how many it took, in a trade-off with those of the points before it
     holds : whether all conditions do, and no run fails
     changes : the free numbers and the quantities, as the config has them and of the best
     """
@@ -118,11 +118,13 @@ class Problem:
 
     study : with [optimize]
     lash, workers : as of `optimize`
-    shown : quantity that is told besides, if any
+    traded : quantity that is told besides, if any
+    bound : condition on it that is to hold besides, if any
     minimized : name of what is minimised
     progress : called with the number of runs so far, and the most that there can be
+    searches : the most that there can be
     size : that values of what is minimised are measured by, in its unit
-    as_it_is : candidate of the config's own values, which `before` has run
+    as_it_is : candidate of the config's own values
     """
 
     def __init__(
@@ -130,10 +132,12 @@ class Problem:
         study: Study,
         lash: str | int | None = None,
         workers: int | None = None,
-        shown: str = "",
+        traded: str = "",
     ) -> None:
         self.optimize, self.runs = _table(study), 0
         self.progress: Progress = unseen
+        self.bound: Quantity | None = None
+        self.searches = _FRONT if traded else 1
         self._lash = lash_position(lash, study.lash_names) + 1
         free, self.minimized = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free]).T
@@ -142,7 +146,7 @@ class Problem:
             raise ClunkError(
                 f'optimize.minimize = "release_time": a load of profile "{study.load.profile}" never rests.'
             )
-        self._numbers = [quantity_of(shown, study)] if shown else []
+        self._numbers = [quantity_of(traded, study)] if traded else []
         with _errors_of("minimize, a free key, release_time or a quantity"):
             if self.minimized not in (*keys, RELEASE_TIME):
                 self._numbers.append(quantity_of(self.minimized, study))
@@ -171,29 +175,50 @@ class Problem:
         keys |= self._cells.keys() | {each.parameter for each in self._tolerances}
         self._runner = Runner(self.study, sorted(keys), workers=workers)
         self.as_it_is = np.full((1, self.low.size), np.nan)
-        self.before = self(self.as_it_is)
-        self.size = abs(float(self.before.value[0]))
+        self.size = abs(float(self(self.as_it_is).value[0]))
 
     @property
-    def explored(self) -> int:
+    def _filling(self) -> int:
         """The number of points that fill the space of the free numbers, a power of two as Sobol's are."""
         return 1 << math.ceil(math.log2(max(_EXPLORED // math.prod(self.shape), 2 * _POPULATION * self.low.size)))
 
     @property
     def most(self) -> int:
-        """The most runs that a search takes."""
-        of_starts = _STARTS * (self.low.size * _POPULATION * (_GENERATIONS + 1) + 1)
-        return (1 + self.explored + of_starts) * math.prod(self.shape)
+        """The most runs that all searches take."""
+        of_search = 1 + _STARTS * (self.low.size * _POPULATION * (_GENERATIONS + 1) + 1)
+        return (1 + self._filling + self.searches * of_search) * math.prod(self.shape)
+
+    def explore(self) -> tuple[Floats, Floats]:
+        """Run points that fill the space of the free numbers, (n, parameters); also returns what these runs give."""
+        from scipy.stats import qmc
+
+        design = qmc.Sobol(self.low.size, seed=np.random.default_rng(self.optimize.seed))
+        points = qmc.scale(design.random(self._filling), self.low, self.high)
+        corners = [*islice(product(*zip(self.low, self.high, strict=True)), self._filling // 2)]
+        points[: len(corners)] = corners  # which no search meets by chance
+        values = self._run_allowed(points)
+        if not 0.0 < self.size < math.inf:  # the config as it is fails, or tells no size
+            found = self.outcomes(points, values).value
+            self.size = float(np.median(np.abs(np.nan_to_num(found, posinf=1.0)))) or 1.0
+        return points, values
 
     def __call__(self, candidates: Floats) -> Outcomes:
         """Run candidates, (n, parameters); NaN stands for the config's own values."""
-        shape = (len(candidates), *self.shape)
+        return self.outcomes(candidates, self._run_allowed(candidates))
+
+    def _run_allowed(self, candidates: Floats) -> Floats:
+        """What `_run` gives of candidates, and NaN of those whose values no config may have."""
         values = np.full(
             (len(candidates), math.prod(self.shape), 2 + len(self._numbers) + len(self._conditions)), np.nan
         )
         allowed = in_halves(self._are_allowed, candidates, np.zeros(1, bool))  # in halves, so that all run together
         if allowed.any():
             values[allowed] = in_halves(self._run, candidates[allowed], values[:1])
+        return values
+
+    def outcomes(self, candidates: Floats, values: Floats) -> Outcomes:
+        """Outcomes of candidates, (n, parameters), from what their runs give, (n, runs, each)."""
+        shape = (len(candidates), *self.shape)
         margin, fails, *found = np.moveaxis(values, 2, 0)
 
         def worst(values: Floats) -> Floats:
@@ -214,6 +239,12 @@ class Problem:
             runs = math.prod(shape)
             loads = cases_of(self.study, self._columns(candidates), runs).loads
             numbers[RELEASE_TIME] = worst(np.broadcast_to(_rests_from(loads), runs))
+        if self.bound is not None:
+            bound = float(self.bound.bound)
+            beyond = numbers[self._numbers[0].name] - bound
+            lacking = np.where(beyond > 0.0, 0.1 + beyond / (abs(bound) or 1.0), 0.0)
+            lacks += lacking
+            quantities[self.bound.name] = (lacking == 0.0).all(axis=1)
         for name, each in numbers.items():
             quantities[name] = np.sort(each, axis=1)[:, self._needed - 1]
         holds = lacks == 0.0
@@ -291,7 +322,6 @@ def optimize(
     lash: str | int | None = None,
     workers: int | None = None,
     progress: bool | Progress = False,
-    shown: str = "",
 ) -> Optimum:
     """Find the values of a study's free keys that minimise a key or a quantity while its conditions hold.
 
@@ -306,8 +336,6 @@ def optimize(
         Threads.
     progress
         As of `clunk.sweep`; runs are counted, of the most that there can be.
-    shown : str, optional
-        A quantity that is told besides.
 
     Returns
     -------
@@ -327,34 +355,25 @@ def optimize(
     >>> best.value < 0.1275  # s
     True
     """
-    from scipy.stats import qmc
-
-    problem, explored, found = Problem(study, lash, workers, shown), [], []
+    problem = Problem(study, lash, workers)
     with reporting(progress, problem.study, what="runs at most") as problem.progress:
-        try:
-            design = qmc.Sobol(problem.low.size, seed=np.random.default_rng(problem.optimize.seed))
-            points = qmc.scale(design.random(problem.explored), problem.low, problem.high)
-            corners = [*islice(product(*zip(problem.low, problem.high, strict=True)), problem.explored // 2)]
-            points[: len(corners)] = corners  # which no search meets by chance
-            outcomes = problem(points)
-            if not 0.0 < problem.size < math.inf:  # the config as it is fails, or tells no size
-                problem.size = float(np.median(np.abs(np.nan_to_num(outcomes.value, posinf=1.0)))) or 1.0
-            merits = problem.merit(outcomes)
-            explored.append(points[merits.argmin()])
-            for start in range(_STARTS):
-                found.append(_searched(problem, points, merits, np.random.default_rng([problem.optimize.seed, start])))
-        except KeyboardInterrupt as stopped:
-            if explored:
-                best = _optimum(problem, study, found or explored)
-                stopped.args = (best if found else replace(best, found=0), *stopped.args)
-            raise
-    return _optimum(problem, study, found)
+        return _best(problem, study, *problem.explore())
 
 
-def front(study: Study, quantity: str, **options: Any) -> Front:
+def front(
+    study: Study,
+    quantity: str,
+    *,
+    lash: str | int | None = None,
+    workers: int | None = None,
+    progress: bool | Progress = False,
+) -> Front:
     """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
 
-    quantity : a number, such as severity; options : as of `optimize`
+    The points that fill the space of the free numbers are run once, for all of them.
+
+    quantity : a number, such as severity
+    lash, workers, progress : as of `optimize`
 
     Raises ClunkError where no values are found for which all conditions hold, and KeyboardInterrupt with the Front so
     far as its first argument, or as `optimize` does.
@@ -366,23 +385,40 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
         raise ClunkError(f"{quantity} cannot be traded: it is what is minimised.")
     if of.type in (TEXT, YES_NO) or quantity == "margin":
         raise ClunkError(f"{quantity} cannot be traded: less of it is not better; severity, for example, can.")
-    best = optimize(study, shown=quantity, **options)
-    if not best.holds:
-        raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
-    points = [best]
-    try:
-        for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
-            if points[-1].quantities[quantity] <= bound:
-                continue  # the best within a wider bound, and so within this one
-            bounded = table.but(subject_to=(*table.subject_to, f"{quantity}<={bound:.6g}"))
-            found = optimize(study.but(optimize=bounded), shown=quantity, **options)
-            if not found.holds:
-                break  # nor does what is tighter
-            points.append(found)
-    except KeyboardInterrupt as stopped:
-        stopped.args = (Front(tuple(points)),)
-        raise
+    problem = Problem(study, lash, workers, quantity)
+    with reporting(progress, problem.study, what="runs at most") as problem.progress:
+        explored = problem.explore()
+        points = [_best(problem, study, *explored)]
+        if not points[0].holds:
+            raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
+        try:
+            for bound in np.unique(np.linspace(0.0, points[0].quantities[quantity], _FRONT))[-2::-1]:
+                if points[-1].quantities[quantity] <= bound:
+                    continue  # the best within a wider bound, and so within this one
+                condition = f"{quantity}<={bound:.6g}"
+                problem.bound = quantity_of(condition, study)
+                bounded = table.but(subject_to=(*table.subject_to, condition))
+                found = _best(problem, study.but(optimize=bounded), *explored)
+                if not found.holds:
+                    break  # nor does what is tighter
+                points.append(found)
+        except KeyboardInterrupt as stopped:
+            stopped.args = (Front(tuple(points)),)
+            raise
     return Front(tuple(points))
+
+
+def _best(problem: Problem, study: Study, points: Floats, values: Floats) -> Optimum:
+    """The best of all starts from points that were explored. Raises KeyboardInterrupt as `optimize` does."""
+    merits, found = problem.merit(problem.outcomes(points, values)), []
+    try:
+        for start in range(_STARTS):
+            found.append(_searched(problem, points, merits, np.random.default_rng([problem.optimize.seed, start])))
+    except KeyboardInterrupt as stopped:
+        best = _optimum(problem, study, found or [points[merits.argmin()]])
+        stopped.args = (best if found else replace(best, found=0), *stopped.args)
+        raise
+    return _optimum(problem, study, found)
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:
@@ -414,7 +450,7 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
     least = np.where(outcomes.excess > 0.0, np.inf, outcomes.value) if holds else outcomes.excess
     parameters = {key: values.item() for key, values in problem.parameters(found[k][None]).items()}
     quantities = {name: values[k].item() for name, values in outcomes.quantities.items()}
-    before = problem.before.quantities | problem.parameters(problem.as_it_is)
+    before = problem(problem.as_it_is).quantities | problem.parameters(problem.as_it_is)
     return Optimum(
         study=replace_values(study, parameters),
         parameters=parameters,
