@@ -203,7 +203,8 @@ class Grid:
         began = time.perf_counter()
         tile = self.tile_of(cells, stop)
         pace = (time.perf_counter() - began) / max(cells.size, 1)
-        self.pace[0] = pace if cells.size > FEW else min(pace / _SLOWER, self.pace[0])
+        fewer = FEW if self.structural else _SLOWER  # to prepare a driveline takes as long as to prepare many
+        self.pace[0] = pace if cells.size > FEW else min(pace / fewer, self.pace[0])
         return tile
 
     def tile_of(self, cells: Cells, stop: StopFlag) -> Tile:
