@@ -1,6 +1,9 @@
 """`clunk optimize`: what it finds holds by other means, nothing on a grid is better, and what cannot be is said."""
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -135,6 +138,29 @@ def test_interrupted_in_its_first_start_a_search_hands_over_the_best_that_was_ex
     best = caught.value.args[0]
     assert best.holds
     assert best.found == 0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
+def test_a_command_that_is_terminated_tells_and_writes_the_best_so_far(tmp_path):
+    """As a batch system ends it whose time is up."""
+    script = """
+import os, signal
+from clunk.analysis import optimisation
+searched, optimisation._EXPLORED = optimisation._searched, 512
+def terminated(problem, *arguments):
+    problem.progress = lambda done, _most: done > 700 and os.kill(os.getpid(), signal.SIGTERM)
+    return searched(problem, *arguments)
+optimisation._searched = terminated
+from clunk.cli import main
+main()
+"""
+    (tmp_path / "ramp.toml").write_text(to_toml(damped_ramp()))
+    command = [sys.executable, "-c", script, "optimize", "ramp.toml", "--json", "-o", "best.toml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 143, done.stderr
+    assert "terminated" in done.stderr
+    assert "this is the best that it has found" in " ".join(done.stderr.split())
+    assert load_study(tmp_path / "best.toml").load.duration == json.loads(done.stdout)["parameters"]["load.duration"]
 
 
 def test_a_search_takes_no_more_runs_than_it_says(brief, monkeypatch):

@@ -73,14 +73,11 @@ def main() -> NoReturn:
     except click.ClickException as error:
         terminal.complain(error.format_message())
     except (click.Abort, KeyboardInterrupt) as stopped:
-        _tell_notes(stopped.__cause__ or stopped)
-        terminal.complain("interrupted")
-        sys.exit(EXIT_INTERRUPTED)
-    except SystemExit as stopped:
-        if stopped.code == EXIT_TERMINATED:
-            terminal.complain("terminated")
-        _tell_notes(stopped)
-        raise
+        cause = stopped.__cause__ or stopped
+        is_terminated = isinstance(cause, _Terminated)
+        _tell_notes(cause)
+        terminal.complain("terminated" if is_terminated else "interrupted")
+        sys.exit(EXIT_TERMINATED if is_terminated else EXIT_INTERRUPTED)
     except ClunkError as error:
         terminal.complain(str(error))
         _tell_notes(error)
@@ -105,8 +102,12 @@ def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: 
         click.echo(warnings.formatwarning(message, category, *place[:2]), err=True, nl=False)
 
 
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, which stops a command as Ctrl-C does."""
+
+
 def _terminate(_signal: int, _frame: object) -> NoReturn:
-    sys.exit(EXIT_TERMINATED)  # without a word, as it may come in the midst of another one
+    raise _Terminated  # without a word, as it may come in the midst of another one
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80})
