@@ -136,14 +136,12 @@ def run_tile(
     done, written : int
         The first cell that was not run, and how many impacts were written.
     """
-    system, tables = batch.system, batch.tables
-    size, cells = system.lashes.shape[1], len(output.cells)
-    capacity, states = (
-        (output.logs.shape[1],) * 2 if output.states.size else (capacity_of(max_events, system.lash_count), 0)
-    )
+    systems, tables = batch.systems, batch.tables
+    size, lashes, cells = systems.lashes.shape[-1], systems.lash_count, len(output.cells)
+    capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (capacity_of(max_events, lashes), 0)
     x = np.empty(size)
     if not isinstance(tables, Flows):
-        lashes = system.lash_count
+        system = batch.system
         log = Log(
             np.empty(capacity, EVENT),
             np.empty((capacity, lashes, 2)),
@@ -153,7 +151,7 @@ def run_tile(
         room = make_room(system, tables)
         return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, x, stop)
     slots = min(UNDER_WAY, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
-    space = workspace_of(batch.systems, tables, cases.loads, slots, capacity, states)
+    space = workspace_of(systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)
     begins, impacts = np.full(cells - first, -1), output.impacts
     done = by_exact(space, undecided, cases, first, max_events, output, x, free, begins, stop)

@@ -1,6 +1,7 @@
 """Labels of sequences of impacts, such as DS(1)SS(2): how they are spelt, and what they count."""
 
 import re
+from functools import lru_cache
 from itertools import groupby
 
 FAILED = "failed"  # in the place of the label of a run that failed
@@ -17,6 +18,7 @@ def primary_impacts(label: str) -> int:
     return excursions(label) + double_sided(label)
 
 
+@lru_cache(1 << 10)
 def label_order(label: str) -> tuple[int, str]:
     """Key by which labels are sorted in files, tables and legends: the number of primary impacts, then the label."""
     return primary_impacts(label), label

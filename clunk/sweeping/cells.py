@@ -135,7 +135,6 @@ class Grid:
 
     def with_design(self, design: Design) -> "Grid":
         """The cells of another design with the same parameters, run with the same drivelines."""
-        self.shared()
         grid = object.__new__(type(self))
         grid.__dict__.update(self.__dict__ | {"design": design})
         if grid._is_large():

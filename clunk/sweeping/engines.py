@@ -73,9 +73,10 @@ def run_tiles(grid: Grid, cells: Cells, engine: Executor) -> Generator[Tile, Non
                 yield tile
     finally:
         stop[0] = 1
-        with deferred_signals():
-            for future in running:
-                future.cancel()
+        if running:
+            with deferred_signals():
+                for future in running:
+                    future.cancel()
 
 
 def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: int) -> int:

@@ -63,6 +63,7 @@ class Runner:
         if not self.keys:
             raise ConfigError("A Runner needs a key or more, in which its runs differ.")
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
+        self.grid.shared()  # prepared once, for all points
         self._engine = engine or engine_of(None, workers)
         self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were looked at
 
