@@ -70,9 +70,14 @@ def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
     return keys >> _SHIFT, keys & ((1 << _SHIFT) - 1)
 
 
+def _following(corners: Array) -> Array:
+    """The entry behind each one in rows, (n, m, …), such as corners of triangles; behind the last the first."""
+    return np.roll(corners, -1, axis=1)
+
+
 def _edges(corners: Nodes) -> Codes:
-    """Numbers of the edges from each corner of triangles to the next, (n, 3)."""
-    return keys_of(corners, np.roll(corners, -1, axis=1))
+    """Numbers of the edges from each node to the one that follows in its row, (n, m)."""
+    return keys_of(corners, _following(corners))
 
 
 def cross(one: Floats, other: Floats) -> Floats:
@@ -121,7 +126,7 @@ class Triangles:
         one, other, third = self.outcome[corners].T
         corners = corners[(one != other) | (other != third)]  # few of a large map's
         labels = self.outcome[corners]
-        alike = labels == np.roll(labels, -1, axis=1)
+        alike = labels == _following(labels)
         two = alike.any(axis=1)
         turns = (np.argmax(alike[two], axis=1)[:, None] + [2, 3, 4]) % 3
         return np.take_along_axis(corners[two], turns, 1), corners[~two]
@@ -227,8 +232,7 @@ class Lines:
     def trace(self) -> None:
         """Locate the crossings on edges, and add nodes, until all lines are told well enough or there are no runs."""
         for nodes in (self.triangles.nodes, self.triangles.nodes.T):
-            keys = keys_of(nodes, np.roll(nodes, -1, axis=1))
-            self._find_hidden(keys, self.triangles.positions[nodes], self.triangles.runs[nodes])
+            self._find_hidden(_edges(nodes), self.triangles.positions[nodes], self.triangles.runs[nodes])
         self._follow()
         self._find_beside_crossings()
         self._follow()
@@ -255,7 +259,7 @@ class Lines:
         self.met = self.position(_edges(three).ravel()).reshape(-1, 3, 2).mean(axis=1)
         self.met_labels = self.triangles.outcome[three]
         from_junction = np.repeat(-1 - np.arange(len(three)), 3)
-        sides = np.stack([np.roll(three, -1, axis=1), three], axis=2).reshape(-1, 2)
+        sides = np.stack([_following(three), three], axis=2).reshape(-1, 2)
         nodes = [keys_of(two[:, :1], two[:, 1:]), np.column_stack([from_junction, keys_of(*sides.T)])]
         return np.concatenate(nodes), self.triangles.outcome[np.concatenate([two[:, :2], sides])]
 
@@ -405,7 +409,7 @@ class Lines:
         far, length = end - begin, _length(end - begin)
         is_flat = (length > CHORD) & (np.abs(cross(begin - tip, far)) < _FLAT * length**2)
         two = np.concatenate([two[self._is_off_chord(two)], several[is_flat]])
-        sides = np.stack([three, np.roll(three, -1, axis=1)], axis=2)
+        sides = np.stack([three, _following(three)], axis=2)
         lengths = _length(np.diff(positions[sides], axis=2)[:, :, 0])
         is_large = lengths.max(axis=1, initial=0.0) > JUNCTION
         three = three[is_large]
@@ -426,7 +430,7 @@ class Lines:
         """Whether all crossings on the edges of triangles are located, one on each."""
         edges = _edges(corners)
         labels = self.triangles.outcome[corners]
-        return ((labels == np.roll(labels, -1, axis=1)) | np.isin(edges, self.keys)).all(axis=1)
+        return ((labels == _following(labels)) | np.isin(edges, self.keys)).all(axis=1)
 
     def _is_off_chord(self, corners: Nodes) -> Bools:
         """Whether the line in triangles of two labels may be further from its chord than `CHORD`.
@@ -436,7 +440,7 @@ class Lines:
         """
         positions = self.triangles.positions[corners]
         ends = self.position(keys_of(corners[:, :1], corners[:, 1:]).ravel()).reshape(-1, 2, 2)
-        chord, sides = ends[:, 1] - ends[:, 0], np.roll(positions, -1, axis=1) - positions
+        chord, sides = ends[:, 1] - ends[:, 0], _following(positions) - positions
         height = np.abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
         is_off = (_length(chord) > CHORD) & (height > CHORD)
         asked = np.flatnonzero(is_off)
