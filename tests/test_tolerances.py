@@ -17,7 +17,7 @@ from clunk.plot.layers import Layers
 from clunk.plot.plane import View
 from clunk.plot.style import colour_of
 from clunk.results import store
-from clunk.results.labels import double_sided, excursions
+from clunk.results.labels import double_sided, primary_impacts
 from clunk.results.maps import QUANTILES
 from clunk.results.netcdf import StoreError
 from clunk.results.quantities import quantity_of
@@ -158,7 +158,7 @@ def test_sequences_longer_than_a_pattern_are_told_apart():
     )
     long = study(tolerance("driveline.inertias[4]", 0.3), axes=AXES.replace("= 21", "= 3"), count=4, base=base)
     found = clunk_api.tolerance_map(long)
-    assert max(excursions(label) for label in found.labels) > 62
+    assert max(primary_impacts(label) for label in found.labels) > 62
     for at in [(1, 0), (2, 0), (2, 3)]:
         same_as_single_runs(found, long, at)
 

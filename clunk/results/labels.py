@@ -14,19 +14,14 @@ def double_sided(label: str) -> int:
 
 
 def primary_impacts(label: str) -> int:
-    """Number of primary impacts in a label: a double-sided one is an impact on either flank."""
-    return excursions(label) + double_sided(label)
+    """Number of primary impacts in a label: one of each excursion from a flank, and of a double-sided one two."""
+    return sum(map(int, re.findall(r"\((\d+)\)", label))) + double_sided(label)
 
 
 @lru_cache(1 << 10)
 def label_order(label: str) -> tuple[int, str]:
     """Key by which labels are sorted in files, tables and legends: the number of primary impacts, then the label."""
     return primary_impacts(label), label
-
-
-def excursions(label: str) -> int:
-    """Number of excursions from a flank in a label, of whatever type."""
-    return sum(map(int, re.findall(r"\((\d+)\)", label)))
 
 
 def normalised_label(text: str) -> str:
