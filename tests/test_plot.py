@@ -529,7 +529,8 @@ def test_a_panel_of_one_answer_has_its_colour_and_units_are_no_symbols() -> None
 def colours_of(results: Results, frequency: float) -> np.ndarray:
     """Colours of the cells of one panel, by whether there are at most 16 touches."""
     part = results.at({"load.frequency": frequency})
-    return Layers.of(part, View.of_plane(part), "touches<=16").region_colours.reshape(-1, 3)
+    layers = Layers.of(part, View.of_plane(part), "touches<=16")
+    return layers.colours_of(layers.codes).reshape(-1, 3)
 
 
 def test_a_panel_without_any_value_is_grey_beside_others() -> None:

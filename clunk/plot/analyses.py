@@ -57,7 +57,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
         marks.append((f"{transition.a} → {transition.b}", cells, colour))
     marks.append((f"other transitions ({len(comparison.transitions) - len(marks)})", rest, _RARE_COLOUR))
     marks.append((f"{FAILED} in B only", (codes_b == FAILED_CODE) & (codes_a != FAILED_CODE), INK))
-    paint, notes = 255.0 - _PALE * (255.0 - layers.region_colours), []
+    paint, notes = 255.0 - _PALE * (255.0 - layers.colours_of(layers.codes)), []
     for text, cells, colour in marks:
         if cells.any():
             paint[cells] = list(bytes.fromhex(colour[1:]))

@@ -230,11 +230,6 @@ class Layers:
         """Whether boundaries are seen as light lines: on all colours but those that begin or turn at white."""
         return self.quantity.type != YES_NO and self.quantity.name != "margin"
 
-    @property
-    def region_colours(self) -> Floats:
-        """(nx, ny, 3) colour of each cell's region, 0 to 255."""
-        return self.colours_of(self.codes)
-
     def colours_of(self, regions: LabelCodes) -> Floats:
         """(…, 3) colours of regions (…), 0 to 255."""
         return 255.0 * to_rgba_array([*self.colours, FAILED_FILL])[regions, :3]

@@ -231,7 +231,7 @@ def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
 def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
     """(nx, ny, 3) colours of the cells, 0 to 255: of their values where these have shades, else of their regions."""
     if shades is None:
-        return layers.region_colours if layers.paint is None else layers.paint
+        return layers.colours_of(layers.codes) if layers.paint is None else layers.paint
     cells = shades.to_rgba(layers.values)[..., :3]
     cells[np.isnan(layers.values)] = colors.to_rgb(UNDEFINED)
     cells[layers.failed] = colors.to_rgb(FAILED_FILL)
