@@ -23,7 +23,6 @@ from clunk.simulation.phases import Regime, apply, integrals, regime_under, stat
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Bools, Flanks, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
-from clunk.study.models import Lash
 from clunk.study.study import Study
 
 _DRAWN = 100_000  # samples; of more a picture shows nothing
@@ -80,11 +79,6 @@ class History:
         return self.trajectory.study
 
     @property
-    def lash(self) -> Lash:
-        """The lash in view."""
-        return self.study.lashes[self.trajectory.lash]
-
-    @property
     def lashes(self) -> tuple["History", ...]:
         """The history with the backlash, contact, touches and impacts of each lash."""
         return tuple(replace(self, trajectory=each) for each in self.trajectory.lashes)
@@ -102,7 +96,8 @@ class History:
     @property
     def half_gap(self) -> float:
         """Largest backlash coordinate of the open gap, r φ/2  [m]."""
-        return float(self.lash.radius * np.deg2rad(self.lash.backlash_deg) / 2)
+        lash = self.study.lashes[self.trajectory.lash]
+        return float(lash.radius * np.deg2rad(lash.backlash_deg) / 2)
 
     @property
     def watched(self) -> int:
