@@ -119,12 +119,12 @@ def boundaries(
         nodes["outcome"], nodes["measure"] = part.sequence[ascending], part.margin[ascending]
         nodes["touches"] = part.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        of_others = int(results.touches.sum() - part.touches.sum()) // nodes.size  # which a point does not tell
+        of_others = (results.touches.sum() - part.touches.sum()) // nodes.size  # which a point does not tell
         beside = point_runs.preparing + of_others // TOUCHES
         lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost, beside)
         lines.trace()
         paths = paths_of(*lines.segments(), lines.position)
-        regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
+        regions = regions_of(rings_of(paths, triangles.outcome[0]))
         paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
         crossings = [[node for node in path.nodes if node >= 0] for path in paths]
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))

@@ -24,7 +24,7 @@ def thresholds_of(results: Map) -> list[float]:
         return []
     from clunk.simulation.small_gap import rigid_contact_thresholds  # 0.3 s, for no other map
 
-    fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis) == 1}
+    fixed = {axis.parameter: axis.values[0] for axis in results.parameters if len(axis) == 1}
     return rigid_contact_thresholds(replace_values(study, fixed), 32).tolist()
 
 

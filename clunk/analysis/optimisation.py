@@ -175,7 +175,7 @@ class Problem:
         keys |= self._cells.keys() | {each.parameter for each in self._tolerances}
         self._runner = Runner(self.study, sorted(keys), workers=workers)
         self.as_it_is = np.full((1, self.low.size), np.nan)
-        self.size = abs(float(self(self.as_it_is).value[0]))
+        self.size = abs(self(self.as_it_is).value[0])
 
     @property
     def _filling(self) -> int:
@@ -199,7 +199,7 @@ class Problem:
         values = self._run_allowed(points)
         if not 0.0 < self.size < math.inf:  # the config as it is fails, or tells no size
             found = self.outcomes(points, values).value
-            self.size = float(np.median(np.abs(np.nan_to_num(found, posinf=1.0)))) or 1.0
+            self.size = np.median(np.abs(np.nan_to_num(found, posinf=1.0))) or 1.0
         return points, values
 
     def __call__(self, candidates: Floats) -> Outcomes:

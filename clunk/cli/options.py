@@ -94,7 +94,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool, but: Col
         terminal.complain(f"note: without --at, as in the config: {listed}")
     run = named.pop(RUN, None)
     if run is not None:
-        named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}
+        named |= {axis.parameter: axis.values[int(run) - 1] for axis in design.coordinates}
     return named
 
 

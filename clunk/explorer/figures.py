@@ -93,7 +93,7 @@ class MapFigure:
         for which, axis in zip("xy", axes, strict=False):
             look[f"{which}_axis_label"] = capital(title_of(axis))
             look[f"{which}_axis_type"] = "log" if axis.is_geometric else "linear"
-            low, high = float(axis.values.min()), float(axis.values.max())
+            low, high = axis.values.min(), axis.values.max()
             least = _CLOSEST * (low if axis.is_geometric else high - low)
             look[f"{which}_range"] = Range1d(low, high, bounds=(low, high), min_interval=least)
         if len(axes) == 1:
@@ -147,7 +147,7 @@ class MapFigure:
             return self._map_changes(layers)
         edges, codes = layers.bands
         known = layers.values[np.isfinite(layers.values)]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
         around = _ABOVE * (high - low) or 1.0
         colours = [(*layers.colours, FAILED_FILL)[code] for code in codes]
         return {
@@ -233,7 +233,7 @@ def _names(regions: LabelCodes, layers: Layers, x: Floats, y: Floats) -> list[tu
     for name in layers.seen:
         centre = roomiest(regions == layers.names.index(name), _WIDTH * (len(name) + 1), _HEIGHT)
         if centre is not None:
-            names.append((name, float(x[int(centre[0])]), float(y[int(centre[1])])))
+            names.append((name, x[int(centre[0])], y[int(centre[1])]))
     return names
 
 
@@ -348,7 +348,7 @@ class RunFigures:
         The time axis stays as the user has zoomed it.
         """
         self._runs = [each.history.lashes[lash] for each in (run, *pins)]
-        whole = float(min(each.time[0] for each in self._runs)), float(max(each.time[-1] for each in self._runs))
+        whole = min(each.time[0] for each in self._runs), max(each.time[-1] for each in self._runs)
         changes = self._see(whole) if self._span == self._whole else {}
         self._whole = whole
         half, trajectory = 1e3 * self._runs[0].half_gap, self._runs[0].trajectory
@@ -414,7 +414,7 @@ class RunFigures:
                 heights = np.concatenate([y for _, y in curves])
                 if panel.name == "lash":
                     heights = np.append(heights, [y for _, y, *_ in flanks])
-                low, high = float(heights.min()), float(heights.max())
+                low, high = heights.min(), heights.max()
                 around = 0.5 * panel.padding * (high - low) or 1.0
                 changes[panel.name] = {"start": low - around, "end": high + around}
         return {"curves": {"data": data}, **changes}

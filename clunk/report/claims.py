@@ -270,8 +270,8 @@ def _severity(e: Evidence) -> Iterator[Claim]:
         f"θ''3 is angular: rad/s²; at the lash's radius it is {radius * low:.0f} to {radius * high:.0f} m/s²",
         radius * low > -0.6 * 5000 and radius * high < 0.6 * 4000,
     )
-    largest, by_force = float(ours.severity.max()), float(e.maps["by_force"].severity.max())
-    row, column = np.unravel_index(int(ours.severity.argmax()), ours.shape)
+    largest, by_force = ours.severity.max(), e.maps["by_force"].severity.max()
+    row, column = np.unravel_index(ours.severity.argmax(), ours.shape)
     yield _differs(
         "Figure 3.7",
         "colour bar up to 18000: a maximum of 18000 to 20000",
@@ -375,7 +375,7 @@ def _experiment(e: Evidence) -> Iterator[Claim]:
 
 def _ordered(values: Array, axis: int) -> float:
     """Share of the steps along an axis in which the values do not fall."""
-    return float(np.mean(np.diff(values, axis=axis) >= 0))
+    return (np.diff(values, axis=axis) >= 0).mean()
 
 
 def _largest_fall(results: Results) -> tuple[float, str]:

@@ -134,11 +134,11 @@ class History:
         return tuple(
             Impact(
                 number=number,
-                severity=float(run.impact_severity[number - 1]),
-                begin=float(step_time + events["time"][k]),
-                end=float(step_time + events["time"][following]) if following < events.size else np.inf,
-                largest=float(extremes[k:following, 0].max()),
-                smallest=float(extremes[k:following, 1].min()),
+                severity=run.impact_severity[number - 1],
+                begin=step_time + events["time"][k],
+                end=step_time + events["time"][following] if following < events.size else np.inf,
+                largest=extremes[k:following, 0].max(),
+                smallest=extremes[k:following, 1].min(),
             )
             for number, (k, following) in enumerate(pairwise(limits), 1)
         )
@@ -255,7 +255,7 @@ def _before_load_step(
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
-    regime = regime_under(system, int(trajectory.events["regime"][0]), inputs)
+    regime = regime_under(system, trajectory.events["regime"][0], inputs)
     return _Phase(time, state + 0.0, regime, -1)  # no -0.0
 
 
@@ -267,11 +267,11 @@ def _after_event(
     A regime that lasts no time is none, where another one that no event begins follows it.
     """
     phases, recorded = trajectory.phases, trajectory.phase_states
-    starts, is_event, number = phases["time"], phases["kind"] != STAGE, int(phases["regime"][k])
-    stop = float(starts[k + 1]) if k + 1 < starts.size else np.inf
+    starts, is_event, number = phases["time"], phases["kind"] != STAGE, phases["regime"][k]
+    stop = starts[k + 1] if k + 1 < starts.size else np.inf
     if stop == starts[k] and not is_event[k + 1]:
         return
-    first, times = k, (float(starts[k]), min(stop, end))
+    first, times = k, (starts[k], min(stop, end))
     while not is_event[first] and starts[first - 1] == starts[k]:
         first -= 1
     event = is_event[:first].sum() if is_event[first] else -1

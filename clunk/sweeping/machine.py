@@ -38,7 +38,7 @@ def available_memory() -> float:
     """Memory in bytes; infinite where that is unknown."""
     memory = math.inf
     with contextlib.suppress(AttributeError, ValueError, OSError):
-        memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return min(memory, *_limit("memory.max", 1))
 
 
