@@ -6,6 +6,7 @@ model; and it knows how near each run came to another label. So labels may diffe
 grazing ones; where they differ elsewhere, the step is too coarse.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
@@ -159,8 +160,8 @@ def compare(a: Results, b: Results) -> Comparison:
     differs = compared & (codes_a != codes_b)
     flagged = ((a.quality | b.quality) & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
     cells, differing, elsewhere = _count(compared), _count(differs), _count(differs & ~flagged)
-    pairs, counts = np.unique(np.stack([codes_a[differs], codes_b[differs]]), axis=1, return_counts=True)
-    transitions = zip(*pairs.tolist(), counts.tolist(), strict=True)
+    pairs = zip(codes_a[differs].tolist(), codes_b[differs].tolist(), strict=True)
+    transitions = Counter(sorted(pairs)).most_common()  # those as frequent in the order of the labels
     identical = content_digest(dataset_of(a)) == content_digest(dataset_of(b))
     return Comparison(
         maps=(a, b),
@@ -186,10 +187,7 @@ def compare(a: Results, b: Results) -> Comparison:
             "both": _count(failed_a & failed_b),
         },
         same_regimes=cells > 0 and np.array_equal(codes_a, codes_b),
-        # a stable sort: those as frequent are in the order of the labels
-        transitions=tuple(
-            sorted((Transition(labels[i], labels[j], k) for i, j, k in transitions), key=lambda each: -each.cells)
-        ),
+        transitions=tuple(Transition(labels[i], labels[j], count) for (i, j), count in transitions),
     )
 
 
