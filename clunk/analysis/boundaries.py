@@ -108,7 +108,7 @@ def boundaries(
     ascending = np.ix_(*(np.argsort(axis.values) for axis in part.axes))
 
     def values_at(places: Floats) -> Floats:
-        return np.column_stack([_values(axis, column) for axis, column in zip(part.axes, places.T, strict=True)])
+        return np.column_stack([*map(_values, part.axes, places.T)])
 
     reports = reporting(progress, study, what="runs along the boundaries")
     with engine_of(None, workers) as engine, reports as report:
@@ -131,8 +131,8 @@ def boundaries(
         events = events_between(point_runs.runner, engine, position, values_at(below), values_at(above))
         events[np.abs(above - below).max(axis=1) > CHORD] = UNKNOWN  # many are between the two
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
-    rings, places = [ring for region in regions for ring in region], lines.unresolved
-    cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
+    rings = [ring for region in regions for ring in region]
+    cells = np.column_stack([*map(np.searchsorted, (across, upward), lines.unresolved.T)])
     _, first = np.unique(cells, axis=0, return_index=True)  # place in each cell that has any
     return Boundaries(
         lash=results.lashes[position] if results.lashes else "",
@@ -150,7 +150,7 @@ def boundaries(
         region_rings=np.array([len(region) for region in regions], np.int32),
         region_label=np.array([region[0].label for region in regions], np.int16),
         region_area=np.array([sum(ring.area for ring in region) for region in regions]),
-        unresolved=values_at(places[first]),
+        unresolved=values_at(lines.unresolved[first]),
     )
 
 
