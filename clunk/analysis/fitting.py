@@ -286,8 +286,8 @@ def fit(
     """
     experiment = measurements if isinstance(measurements, Experiment) else read_experiment(measurements)
     check(study, experiment)
-    name, plain = study.lash_names[lash_position(lash, study.lash_names)], study.but(sweep=None)
-    with engine_of(None, workers) as engine, reporting(progress, plain, what="candidates") as report:
+    name = study.lash_names[lash_position(lash, study.lash_names)]
+    with engine_of(None, workers) as engine, reporting(progress, study, what="candidates") as report:
         candidates = Candidates(study, experiment, name, engine, report)
         settings, priors = candidates.fit, candidates.priors
         nominal = [{"factor": 1.0, "offset": 0.0}.get(p.draws, nominal_value(study, p.parameter)) for p in priors]

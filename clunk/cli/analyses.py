@@ -117,7 +117,7 @@ def optimize(
     terminal.warn(study)
     options["progress"] = True
     # before the search, as the config may not run as it is
-    drawn = [sample(simulate(study.but(sweep=None)), name="as it is")] if picture and not traded else []
+    drawn = [sample(simulate(study), name="as it is")] if picture and not traded else []
     interrupt = None
     try:
         found = optimisation.front(study, traded, **options) if traded else optimisation.optimize(study, **options)
@@ -141,7 +141,7 @@ def optimize(
         if isinstance(found, optimisation.Front):
             figure = analyses.trade_off(found)
         else:
-            drawn.append(sample(simulate(found.study.but(sweep=None)), name="best"))
+            drawn.append(sample(simulate(found.study), name="best"))
             figure = histories.history_figure(drawn)
         terminal.save_picture(figure, picture)
     if not all(best.holds for best in points):
