@@ -276,7 +276,6 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
     numbers = partial(_numbers, varied, study.lash_places)
     are_rigid = study.has_rigid_flanks  # whose locked state itself is sticking
     sticking = 0.0 if are_rigid else varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
-    locking_speeds = [each.locking_speed for each in contacts]
     return tables.Lashes(
         twists=driveline.lashes,
         stiffness=driveline.contact_stiffnesses,
@@ -284,9 +283,7 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
         are_rigid=are_rigid,
         separation_by_force=[each.separation == "force" for each in contacts],
         restitution=numbers([each.restitution or 0.0 for each in contacts], "contact", "restitution"),
-        locking_speed=numbers(
-            [-LOCKING_SHARE if each is None else each for each in locking_speeds], "contact", "locking_speed"
-        ),
+        locking_speed=numbers([each.locking_speed or -LOCKING_SHARE for each in contacts], "contact", "locking_speed"),
         sticking_time=periods if sticking is None else np.full(periods.shape, np.asarray(sticking)[..., None]),
         acceleration_of=[number - 1 for number in study.watched],
     )
