@@ -102,20 +102,16 @@ class Map(Design, ABC):
     @property
     def lash_names(self) -> tuple[str, ...]:
         """The names of the lashes, also of an only one."""
-        return self.lashes or (lash_name(0, self.setting("lash.name")),)
+        return self.lashes or (lash_name(0, value_at(self.tables, ("lash", "name"))),)
 
     @property
     def tables(self) -> dict[str, Any]:
         """The resolved config; not to be changed."""
         return tables_of(self.config)
 
-    def setting(self, key: str) -> Any:
-        """Value of a dotted key of the resolved config; None where it has none."""
-        return value_at(self.tables, tuple(key.split(".")))
-
     def load_phrase(self, without: Sequence[str] = ()) -> str:
         """The load in words, but for these of its keys and for what is swept: an ideal step is a worst case."""
-        load = self.setting("load") or {}
+        load = self.tables.get("load", {})
         if load.get("profile") not in PROFILES:
             return ""
         swept = [axis.parameter.removeprefix("load.") for axis in self.parameters]
