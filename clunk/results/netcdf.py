@@ -135,18 +135,19 @@ def write(path: FilePath, dataset: Dataset, scratch: Path | None = None) -> None
         names = " ".join(dataset.variables)
         own = {"Conventions": "CF-1.11", "variables": names, "content_digest": content_digest(dataset)}
         _set_attributes(file, {**dataset.attributes, **own})
-        for name, variable in dataset.variables.items():
-            _create(file, name, variable, dataset)
+        for name in dataset.variables:
+            _create(file, name, dataset)
     content = image.getbuffer()
     with writing(path) as target:
         write_whole(target, lambda stream: stream.writelines([content, _trailer(content)]), scratch)
 
 
-def _create(file: h5py.File, name: str, variable: Variable, dataset: Dataset) -> None:
+def _create(file: h5py.File, name: str, dataset: Dataset) -> None:
     """Write a dimension or a variable along some; a variable compressed where that pays."""
-    values, is_dimension = variable.values, variable.dims == (name,)
+    dims, values, attributes = dataset.variables[name]
+    is_dimension = dims == (name,)
     counts, places = dataset.places(name)
-    shape = (*counts.shape, places)[: len(variable.dims)]
+    shape = (*counts.shape, places)[: len(dims)]
     create = partial(file.create_dataset, name, track_order=True)
     if values.dtype.kind == "U":
         # Words of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
@@ -159,11 +160,11 @@ def _create(file: h5py.File, name: str, variable: Variable, dataset: Dataset) ->
         chunks = (rows, *counts.shape[1:], together)[: len(shape)]
         stored = create(shape, values.dtype, chunks=chunks, compression="gzip", compression_opts=_LEVEL, shuffle=True)
         _compress(values.ravel(), counts, places, stored)
-    _set_attributes(stored, variable.attributes)
+    _set_attributes(stored, attributes)
     if is_dimension:
         stored.make_scale(name)
     else:
-        for dimension, dim in zip(stored.dims, variable.dims, strict=True):
+        for dimension, dim in zip(stored.dims, dims, strict=True):
             dimension.attach_scale(file[dim])
 
 
