@@ -35,6 +35,12 @@ def bisect(p: Quartic, low: float, high: float) -> float:
 
 
 @part
+def _most_change(p: Quartic, length: float) -> float:
+    """Bound of how far p is from its beginning on [0, length]."""
+    return length * (abs(p[1]) + length * (abs(p[2]) + length * (abs(p[3]) + length * abs(p[4]))))
+
+
+@part
 def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
@@ -42,7 +48,7 @@ def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
     those missing repeat the one before, or are 0.
     """
     slope = p[1], 2.0 * p[2], 3.0 * p[3], 4.0 * p[4], 0.0
-    if abs(slope[0]) > length * (abs(slope[1]) + length * (abs(slope[2]) + length * abs(slope[3]))):
+    if abs(slope[0]) > _most_change(slope, length):
         return 0.0, 0.0, 0.0
     bend, middle = (slope[1], 2.0 * slope[2], 3.0 * slope[3], 0.0, 0.0), length
     if slope[3] != 0.0:
@@ -69,7 +75,7 @@ def first_negative(p: Quartic, length: float) -> float:
     """The first s of [0, length] from which on p is negative, or -1 where there is none."""
     if p[0] < 0.0:
         return 0.0
-    if p[0] > length * (abs(p[1]) + length * (abs(p[2]) + length * (abs(p[3]) + length * abs(p[4])))):
+    if p[0] > _most_change(p, length):
         return -1.0
     s1, s2, s3 = stationary_points(p, length)
     low = 0.0
