@@ -141,18 +141,18 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
 
     zero_guard, zero_order = -1, 0
     for k in range(count):
-        state, row = system.friction_states[best, k], system.frictions[k]
+        state, row, functional = system.friction_states[best, k], system.frictions[k], rate_of_friction(system, k)
         way, (rate, most) = 1.0 if state == SLIPS_FORWARD else -1.0, _rate(system, row, 0.0, x)
         if state == STICKS:
             if system.friction_states[regime, k] != STICKS:
                 inputs[input_of_friction(system, k) + 1] = twist_of(system, row, x)[0]
         # or slips the other way, which is rounding where two begin at one time
-        elif (resting >> k & 1 or way * rate < 0.0) and not _is_held(system, best, rate_of_friction(system, k)):
-            speeds_up, size = derivative(at, best, rate_of_friction(system, k), 1)
+        elif (resting >> k & 1 or way * rate < 0.0) and not _is_held(system, best, functional):
+            speeds_up, size = derivative(at, best, functional, 1)
             clearly = abs(speeds_up) > at.within * size
-            sets_off = clearly or way * derivative(at, best, rate_of_friction(system, k), 2)[0] > 0.0
+            sets_off = clearly or way * derivative(at, best, functional, 2)[0] > 0.0
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
-                zero_guard, zero_order = guard_of(system, best, rate_of_friction(system, k), way), 1 if clearly else 2
+                zero_guard, zero_order = guard_of(system, best, functional, way), 1 if clearly else 2
             else:
                 column = system.inputs[system.regimes[best].flow, :, input_of_friction(system, k)]
                 _speed_up(row, column, _KICK * way * (most + at.rounded * size) - rate, x)
