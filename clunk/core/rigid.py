@@ -58,10 +58,11 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
             keep_locked(system, regime, x, at.inputs)
         touched, resting = 0, held
         for touch in touches:
+            gap = touch.side * at.inputs[gap_input(touch.lash)]
             if touches.size > 1:  # or they would touch apart as they become slow
-                _place(system, held, touch.lash, x, 0, touch.side * at.inputs[gap_input(touch.lash)])
+                _place(system, held, touch.lash, x, 0, gap)
             if not rebounds:
-                _hold(system, resting, touch.lash, x, touch.side * at.inputs[gap_input(touch.lash)])
+                _hold(system, resting, touch.lash, x, gap)
             touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
     if system.friction_count > 0:  # where it stops, rates up to its speed are rounding
         regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN if stops else abs(speed), x)
