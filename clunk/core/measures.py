@@ -136,8 +136,8 @@ def _measure_runs(
             for j in range(OF_IMPACTS):
                 totals[k, lash, j] = root_of_squares(room.of_impacts[begin:last, j])
             totals[k, lash, PEAK_TORQUE] = 0.0
-            for i in range(begin, last):
-                totals[k, lash, PEAK_TORQUE] = np.maximum(totals[k, lash, PEAK_TORQUE], room.of_impacts[i, PEAK_TORQUE])
+            for peak in room.of_impacts[begin:last, PEAK_TORQUE]:
+                totals[k, lash, PEAK_TORQUE] = np.maximum(totals[k, lash, PEAK_TORQUE], peak)
             for m in range(channels.swings.size):
                 low, high = room.ranges[OF_LASH * lashes + m, 0], room.ranges[OF_LASH * lashes + m, 1]
                 totals[k, lash, OF_IMPACTS + m] = high - low if channels.swings[m] else max(-low, high)
