@@ -220,8 +220,7 @@ def _open_windows(space: Workspace, slot: int, k: int) -> None:
 def _close_phase(space: Workspace, slot: int, k: int) -> None:
     """Write the extremes of the accelerations in a run's windows so far beside event `k`."""
     for lash in range(space.system.lash_count):
-        own = space.of_lashes[slot, lash]
-        copy(own[:2], space.extremes[slot, k, lash])  # WINDOW_MAX and WINDOW_MIN
+        copy(space.of_lashes[slot, lash, :2], space.extremes[slot, k, lash])  # WINDOW_MAX and WINDOW_MIN
 
 
 @inlined_part
