@@ -33,6 +33,7 @@ _BEFORE_NEXT_STRIDE = 16  # steps, after one in doubt
 # A remainder of a step shorter than this share of it is merged with the next one: right after an event the guard grows
 # from zero, and needs some time to stand clear of rounding.
 _SHORTEST = 0.01
+_Eight = tuple[float, float, float, float, float, float, float, float]
 
 
 class _Grid(NamedTuple):
@@ -191,23 +192,31 @@ def _grid_of(system: System, steps: Steps, load: FloatArray, piece: int) -> _Gri
 
 @inlined_part
 def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray) -> None:
-    """out = affine + transferᵀ z. Summed in pairs, eight columns at a time, which LLVM vectorises."""
-    x0, x1, x2, x3, x4, x5, x6, x7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
+    """out = affine + transferᵀ z. Eight columns at a time, which LLVM vectorises."""
+    x = _eight(z, 0)
     for r in range(affine.size):
-        out[r] = affine[r] + (
-            ((transfer[0, r] * x0 + transfer[1, r] * x1) + (transfer[2, r] * x2 + transfer[3, r] * x3))
-            + ((transfer[4, r] * x4 + transfer[5, r] * x5) + (transfer[6, r] * x6 + transfer[7, r] * x7))
-        )
+        out[r] = affine[r] + _sum_of_eight(transfer, 0, r, x)
     for b in range(8, transfer.shape[0], 8):
-        x0, x1, x2, x3 = z[b], z[b + 1], z[b + 2], z[b + 3]
-        x4, x5, x6, x7 = z[b + 4], z[b + 5], z[b + 6], z[b + 7]
+        x = _eight(z, b)
         for r in range(affine.size):
-            out[r] += (
-                (transfer[b, r] * x0 + transfer[b + 1, r] * x1) + (transfer[b + 2, r] * x2 + transfer[b + 3, r] * x3)
-            ) + (
-                (transfer[b + 4, r] * x4 + transfer[b + 5, r] * x5)
-                + (transfer[b + 6, r] * x6 + transfer[b + 7, r] * x7)
-            )
+            out[r] += _sum_of_eight(transfer, b, r, x)
+
+
+@inlined_part
+def _eight(z: FloatArray, b: int) -> _Eight:
+    """Eight numbers from number b on."""
+    return z[b], z[b + 1], z[b + 2], z[b + 3], z[b + 4], z[b + 5], z[b + 6], z[b + 7]
+
+
+@inlined_part
+def _sum_of_eight(transfer: FloatArray, b: int, r: int, x: _Eight) -> float:
+    """Sum of column r of eight rows from row b on, each times a number; in pairs."""
+    return (
+        (transfer[b, r] * x[0] + transfer[b + 1, r] * x[1]) + (transfer[b + 2, r] * x[2] + transfer[b + 3, r] * x[3])
+    ) + (
+        (transfer[b + 4, r] * x[4] + transfer[b + 5, r] * x[5])
+        + (transfer[b + 6, r] * x[6] + transfer[b + 7, r] * x[7])
+    )
 
 
 @part
