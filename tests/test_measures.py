@@ -12,6 +12,7 @@ import clunk
 from clunk.analysis.thresholds import thresholds
 from clunk.cli import cli
 from clunk.cli.simulate import run_record
+from clunk.core import measures
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.results.quantities import OF_RUNS, REGIME_QUANTITIES, quantity_of
 from clunk.results.store import read_results, write_results
@@ -346,3 +347,16 @@ def test_each_of_two_lashes_has_its_impacts_and_together_they_take_what_the_bala
     lost = ledger.damped_in_contact + ledger.dropped - ledger.regained
     assert min(taken) > 0.01 * lost
     assert sum(taken) == pytest.approx(lost, rel=0.01)  # but for what flanks that pressed from the start took
+
+
+def test_what_takes_too_many_steps_is_not_defined_and_the_run_is_what_it_is(monkeypatch):
+    """With a damper of 1e11 N s/m a run would be followed for days, and no signal ended that."""
+    study = study_from_text(config("shuffle"), overrides=[*SHORT, *MAP])
+    monkeypatch.setattr(measures, "_MOST_STEPS", 10)
+    results = sweep(study)
+    plain = sweep(study.but(impacts=study.impacts.but(quantities=()), measures=()))
+    np.testing.assert_array_equal(results.sequence, plain.sequence)
+    struck = results.primary_impacts > 0
+    assert struck.any()
+    for name in ("impulse", "energy", "shuffle"):
+        assert np.isnan(results.values(name)[struck]).all()

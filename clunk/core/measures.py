@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.core.arrays import FloatArray, IntArray, Records
+from clunk.core.arrays import FloatArray, IntArray, Records, StopFlag
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
@@ -32,6 +32,7 @@ from clunk.core.tile import Batch, Cases, Output
 
 _SMOOTH = 1e-10  # of the terms of a series: the last one over a step of which the series tells all
 _PLACES = 16  # of a step, between which the slope of a channel is asked for its sign: some 0.09 of 1/rate apart
+_MOST_STEPS = 1 << 22  # of a run, some 10 s: over a second with what decays within 1e-8 s there are more
 _HALVINGS = 30  # of an interval with a turn: to 1e-9 of it, the value there to the square of that
 _FROM_MIDDLE, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # exact up to degree 23, and to rounding for the square
 _NODES = 0.5 + 0.5 * _FROM_MIDDLE  # of the interval
@@ -52,10 +53,15 @@ class Room(NamedTuple):
     row: IntArray  # (L,)  and of its last one so far, the row before that where there is none
     systems: IntArray  # (D, …)  of each driveline, see `references.rows_of`
     of_impacts: FloatArray  # (impacts, OF_IMPACTS)  output
+    steps: IntArray  # (2,)  that are left of the run, and the most
 
 
-def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray, of_impacts: FloatArray) -> None:
-    """Measure the runs of some cells; those that failed are not touched.
+def measure_runs(
+    batch: Batch, cases: Cases, output: Output, totals: FloatArray, of_impacts: FloatArray, stop: StopFlag
+) -> None:
+    """Measure the runs of some cells, until `stop` is set; those that failed are not touched.
+
+    What takes more than `_MOST_STEPS` is not a number.
 
     Parameters
     ----------
@@ -82,8 +88,9 @@ def measure_runs(batch: Batch, cases: Cases, output: Output, totals: FloatArray,
         row=np.zeros(lashes, np.int64),
         systems=rows_of(system, batch.systems),
         of_impacts=of_impacts,
+        steps=np.array([0, _MOST_STEPS]),
     )
-    _measure_runs(system, channels, cases, output, room, totals)
+    _measure_runs(system, channels, cases, output, room, totals, stop)
     if system.impulsive:
         totals[..., PEAK_TORQUE] = of_impacts[..., PEAK_TORQUE] = np.nan
 
@@ -96,6 +103,7 @@ def _measure_runs(
     output: Output,
     room: Room,
     totals: FloatArray,
+    stop: StopFlag,
 ) -> None:
     system, channels, room = refer(system), refer(channels), refer(room)
     cases, output, first = refer(cases), refer(output), room.first
@@ -103,7 +111,7 @@ def _measure_runs(
         first[0] = first[room.row.size]
         for lash in range(room.row.size):
             first[lash + 1] = first[lash] + output.cells[k, lash].primary_impacts
-        if output.cells[k, 0].status != OK:
+        if output.cells[k, 0].status != OK or stop[0]:
             continue
         driveline = cases.drivelines[k % cases.drivelines.size]
         system = reference_at(room.systems, driveline, system)
@@ -114,6 +122,7 @@ def _measure_runs(
         while written < events.size and not np.isnan(events[written].time):
             written += 1
         copy(cases.before[k], room.inputs)
+        room.steps[0] = room.steps[1]
         room.ranges[:, 0], room.ranges[:, 1] = np.inf, -np.inf
         for lash in range(lashes):
             room.row[lash] = first[lash] - 1
@@ -131,6 +140,8 @@ def _measure_runs(
                 set_weighed(system, event.regime, room.inputs, room.z[size:])
                 _follow(system, channels, driveline, event.regime, until - time, room)
                 time = until
+        if room.steps[0] == 0:
+            room.ranges[:], room.of_impacts[first[0] : first[lashes]] = np.nan, np.nan
         for lash in range(lashes):
             begin, last = first[lash], first[lash + 1]
             for j in range(OF_IMPACTS):
@@ -204,7 +215,8 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
     z, lashes = room.z, system.lash_count
     flow, elapsed = system.regimes[regime].flow, 0.0
     length, rows = channels.lengths[driveline, flow], channels.series[driveline, flow]
-    while elapsed < span:
+    while elapsed < span and room.steps[0] > 0:
+        room.steps[0] -= 1
         level = LEVELS - 1
         for c in range(len(room.ranges)):
             if c // OF_LASH >= lashes or _bears(system, regime, c // OF_LASH, room):

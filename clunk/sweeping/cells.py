@@ -322,7 +322,7 @@ class Grid:
                     cells["quality"][long[differ]] |= QUALITY_UNDECIDED
         if not len(states):
             return cells.ravel(), details
-        return self._measured(batch, cases, kernel.Output(cells, details, logs, states))
+        return self._measured(batch, cases, kernel.Output(cells, details, logs, states), stop)
 
     def _followed(
         self, batch: kernel.Batch, cases: kernel.Cases, stop: StopFlag, room: int, logs: Records, states: Floats
@@ -343,15 +343,18 @@ class Grid:
             each *= 2
         return cells[:done], np.concatenate(impacts, dtype=IMPACT)
 
-    def _measured(self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output) -> tuple[Records, Records]:
-        """Records and impacts of runs with their measures."""
+    def _measured(
+        self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output, stop: StopFlag
+    ) -> tuple[Records, Records]:
+        """Records and impacts of runs with their measures; none where `stop` is set."""
         names, details = self.study.impacts.quantities, output.impacts
         totals = np.full((*output.cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
         of_impacts = np.zeros((details.size, OF_IMPACTS))
-        measure_runs(batch, cases, output, totals, of_impacts)
+        measure_runs(batch, cases, output, totals, of_impacts, stop)
         columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
         records = _joined(output.cells.ravel(), self.layout.record, totals[..., columns].reshape(-1, len(columns)))
-        return records, _joined(details, self.layout.detail, of_impacts[:, columns[: len(names)]])
+        impacts = _joined(details, self.layout.detail, of_impacts[:, columns[: len(names)]])
+        return (records[:0], impacts[:0]) if stop[0] else (records, impacts)
 
 
 def layout_of(study: Study) -> Layout:
