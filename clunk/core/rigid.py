@@ -36,6 +36,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     """
     system, x = at.system, at.x
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
+    speed = side * max(side * speed, 0.0)  # flanks that parted within rounding may seem to touch as they go
     regime = opened(system, _resting_on(at, log, regime, count), lash)
     slowest, before = _locking_speed(at, log, regime, lash, speed), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
@@ -51,19 +52,22 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     events[count].lash, events[count].speed, events[count].side = lash, speed, side
     touches = events[count : _note_touches_beside(at, log, before, lash, rebounds, count)]
     _strike_together(system, held, rebounds, x, touches)
-    touched, stops = 0, system.friction_count > 0 and abs(speed) <= _rounded_speed(at, regime, lash)
-    for _ in range(_MOST_IMPULSES if stops else 1):
+    touched, stops = 0, system.friction_count > 0 and abs(speed) <= _falling_speed(at, regime, lash, 2.0 * _APART)
+    for _ in range(_MOST_IMPULSES if stops or touches.size > 1 else 1):  # to place one moves the others
         if stops:  # or what stuck would slip, part the flanks, and touch again, slower and slower, without end
+            regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN, x)
             rubbing.stop_all(system, regime, x)
             keep_locked(system, regime, x, at.inputs)
-        touched, resting = 0, held
+        touched, resting, moved = 0, held, 0.0
         for touch in touches:
             gap = touch.side * at.inputs[gap_input(touch.lash)]
             if touches.size > 1:  # or they would touch apart as they become slow
-                _place(system, held, touch.lash, x, 0, gap)
+                moved = max(moved, _place(system, held, touch.lash, x, 0, gap))
             if not rebounds:
                 _hold(system, resting, touch.lash, x, gap)
             touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
+        if not stops and moved <= ROUNDING * _SWING:
+            break
     if system.friction_count > 0:  # where it stops, rates up to its speed are rounding
         regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN if stops else abs(speed), x)
         rubbing.stick_all(system, x, at.inputs)
@@ -270,14 +274,14 @@ def _locking_speed(at: Moment, log: Log, regime: int, lash: int, speed: float) -
     tolerance, course = at.system.locking_speed[lash], log.courses[lash]
     course.fastest = max(course.fastest, abs(speed))
     # flanks that `_part_by` moved fall through the rounding of the gap at half the latter
-    return max(tolerance, -tolerance * course.fastest, _rounded_speed(at, regime, lash))
+    return max(tolerance, -tolerance * course.fastest, _falling_speed(at, regime, lash, 4.0 * ROUNDING))
 
 
 @part
-def _rounded_speed(at: Moment, regime: int, lash: int) -> float:
-    """The speed at which a rebound in a regime is as low as the rounding of the gap: it cannot be followed  [rad/s]."""
+def _falling_speed(at: Moment, regime: int, lash: int, share: float) -> float:
+    """The speed of a rebound in a regime that is as low as a share of the terms of the gap  [rad/s]."""
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
-    return np.sqrt(8.0 * abs(pull) * ROUNDING * _terms_of_gap(at, lash))
+    return np.sqrt(2.0 * abs(pull) * share * _terms_of_gap(at, lash))
 
 
 @part
@@ -313,8 +317,8 @@ def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> No
 
 
 @part
-def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> None:
-    """Make what `_hold` does of q, in the angles from `first` on, or of q', in the speeds."""
+def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> float:
+    """Make what `_hold` does of q, in the angles from `first` on, or of q', in the speeds; return how far it was."""
     n, row, impulse = system.inertias, system.lashes[lash], system.impulse[held, lash]
     excess = -target
     last = -1
@@ -331,3 +335,4 @@ def _place(system: System, held: int, lash: int, x: FloatArray, first: int, targ
                 last = k
     rest -= row[n + last] * x[first + last]
     x[first + last] = -rest / row[n + last]
+    return abs(excess)

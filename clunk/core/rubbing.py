@@ -139,8 +139,9 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     failed = regime if ended >= 0 and event < 0 else -1
     best = _fitting(at, resting_on, failed, event, resting, locked)
 
-    zero_guard, zero_order = -1, 0
-    for k in range(count):
+    zero_guard, zero_order, is_set_off = -1, 0, False
+    for j in range(count):
+        k = (event + 1 + j) % count  # the event's comes last: it may go along with one that is set off
         state, row, functional = system.friction_states[best, k], system.frictions[k], rate_of_friction(system, k)
         way, (rate, most) = 1.0 if state == SLIPS_FORWARD else -1.0, _rate(system, row, 0.0, x)
         if state == STICKS:
@@ -149,13 +150,16 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         # or slips the other way, which is rounding where two begin at one time
         elif (resting >> k & 1 or way * rate < 0.0) and not _is_held(system, best, functional):
             speeds_up, size = derivative(at, best, functional, 1)
-            clearly = abs(speeds_up) > at.within * size
+            clearly, kick = abs(speeds_up) > at.within * size, _KICK * (most + at.rounded * size)
             sets_off = clearly or way * derivative(at, best, functional, 2)[0] > 0.0
+            if k == event and is_set_off and way * rate > 0.5 * kick:
+                continue
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, functional, way), 1 if clearly else 2
             else:
                 column = system.inputs[system.regimes[best].flow, :, input_of_friction(system, k)]
-                _speed_up(row, column, _KICK * way * (most + at.rounded * size) - rate, x)
+                _speed_up(row, column, way * kick - rate, x)
+                is_set_off = True
     return best, zero_guard, zero_order
 
 
