@@ -14,6 +14,7 @@ from helpers.maps import with_arrays
 from clunk.report import claims, reproduction
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import Evidence, run_maps
+from clunk.results.files import write_text
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.small_gap import (
     one_mode_thresholds,
@@ -106,7 +107,7 @@ def rows(path):
 def test_the_tables_of_the_results_have_every_claim_of_the_report(found, tmp_path):
     copy = tmp_path / "README.md"
     copy.write_text(README.read_text("utf-8"), "utf-8")
-    reproduction.write_tables(copy, found)
+    write_text(copy, reproduction.with_tables(copy, found))
     written = {(where, report): ours for where, report, ours in rows(copy)}
     assert {(claim.where, claim.report): claim.ours for claim in found}.items() <= written.items()
     assert written.keys() == {(where, report) for where, report, _ in rows(README)}
@@ -116,7 +117,7 @@ def test_the_tables_of_the_results_have_every_claim_of_the_report(found, tmp_pat
 def test_the_tables_of_the_results_are_what_reproduce_computes(tmp_path):
     copy = tmp_path / "README.md"
     copy.write_text(README.read_text("utf-8"), "utf-8")
-    reproduction.write_tables(copy, claims.claims(Evidence(run_maps())))
+    write_text(copy, reproduction.with_tables(copy, claims.claims(Evidence(run_maps()))))
     assert copy.read_text("utf-8") == README.read_text("utf-8")
 
 
@@ -124,7 +125,7 @@ def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused
     path = tmp_path / "page.md"
     path.write_text("before\n<!-- claims: errors -->\nold\n<!-- end -->\n\n<!-- claims: agrees -->\n<!-- end -->\n")
     broken = Claim("§0", "two and two make four", "five", False, Verdict.AGREES)
-    reproduction.write_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)])
+    write_text(path, reproduction.with_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)]))
     once = path.read_text()
     assert [row for row in rows(path) if row[0] == "§0"] == [
         ("§0", "odd", "five"),
@@ -132,12 +133,12 @@ def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused
     ]
     assert "old" not in once
     assert once.startswith("before\n<!-- claims: errors -->\n| where")
-    reproduction.write_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)])
+    write_text(path, reproduction.with_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)]))
     assert path.read_text() == once
     path.write_text("no marks")
     for wrong, sentence in ((path, "has no place for the claims"), (tmp_path / "none.md", "does not exist")):
         with pytest.raises(ClunkError, match=sentence):
-            reproduction.write_tables(wrong, [broken])
+            write_text(wrong, reproduction.with_tables(wrong, [broken]))
 
 
 def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(tmp_path, monkeypatch, command):

@@ -107,8 +107,10 @@ def test_a_miss_more_costs_less_where_many_are_missed_and_grows_with_the_distanc
 @pytest.mark.parametrize(
     ("measured", "computed", "words"),
     [
-        ("SS(1)", "DS(1)", "Impact 1 would have to be on the initial flank"),
-        ("DS(2)", "DS(1)SS(1)", "Impact 3 would have to be on the opposite flank"),
+        ("SS(1)", "DS(1)", "Impact 1 would have to be on the initial flank, before the gap is crossed."),
+        ("DS(2)", "DS(1)SS(1)", "Impact 3 would have to be on the opposite flank, before the gap turns back."),
+        ("DS(1)", "OS(2)CR(1)", "Impact 2 would have to be on the initial flank, before the gap turns back."),
+        ("OS(2)CR(1)", "DS(1)", "Impact 2 would have to be on the opposite flank, before the gap is crossed."),
         ("DS(1)SS(1)", "DS(1)", "once more"),
         ("NI", "SS(1)", "stay at the initial flank"),
     ],

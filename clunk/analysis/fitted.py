@@ -22,7 +22,7 @@ from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
 from clunk.study.models import Fit
 from clunk.study.parameters import located, nominal_value, with_draws
-from clunk.study.records import Record, tells, told
+from clunk.study.records import Record, counted, tells, told
 from clunk.study.study import Study, content, study_of_document
 from clunk.study.sweeps import Axis, Draw, Sweep
 from clunk.sweeping.sweep import sweep
@@ -278,8 +278,8 @@ class Fitted(Record, eq=False, repr=False):
             sentences.append(f"There are more parameters, {parameters}, than measurements, {self.count}.")
         if self.effective < self.fit.effective_draws:
             sentences.append(
-                f"The ensemble is worth {self.effective:.0f} draws, not {self.fit.effective_draws}: its intervals are "
-                "rough; raise fit.draws."
+                f"The ensemble is worth {counted(round(self.effective), 'draw')}, not {self.fit.effective_draws}: its "
+                "intervals are rough; raise fit.draws."
             )
         for each in self.met_impacts:
             name, count, met = each.values()
@@ -342,9 +342,9 @@ def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str
         return f"The lash would have to stay at {before} instead of parting from it before impact {number}."
     if there is None:
         return f"The lash would have to part from {before} once more before it comes to rest there."
-    if wanted == INITIAL:
-        return f"Impact {number} would have to be on the initial flank, before the gap is crossed."
-    return f"Impact {number} would have to be on the opposite flank, before the gap turns back."
+    flank = "initial" if wanted == INITIAL else "opposite"
+    event = "is crossed" if wanted == (INITIAL, *measured)[number - 1] else "turns back"
+    return f"Impact {number} would have to be on the {flank} flank, before the gap {event}."
 
 
 # --- Studies and maps -------------------------------------------------------------------------------------------------

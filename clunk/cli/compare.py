@@ -85,6 +85,8 @@ def verify(study: Study, workers: int | None, as_json: bool, **_: Any) -> None:
     import clunk
     from clunk.analysis.comparison import METHODS
 
+    if study.swept.tolerances:
+        terminal.complain("tolerances are left aside; these are the nominal runs")
     terminal.warn(study, "rk4")
     comparison = clunk.verify(study, workers=workers, progress=True)
     tables.tell(comparison, as_json)

@@ -38,6 +38,8 @@ def reproduce(output: Path, workers: int | None, coarsen: str, table: Path | Non
     from clunk.results import files
 
     files.check(output / "figure_3_1.png", files.PICTURES)
+    if table is not None:
+        reproduction.with_tables(table, ())  # whether there is a place for them
     evidence = Evidence(run_maps(int(coarsen), workers, progress=True))
     claims = claims_of(evidence)
     if as_json:
@@ -50,7 +52,7 @@ def reproduce(output: Path, workers: int | None, coarsen: str, table: Path | Non
         click.echo(f"note: maps have one of {coarsen} values an axis, on which shares and thresholds depend", err=True)
     reproduction.save_all(evidence, claims, output)
     if table is not None:
-        reproduction.write_tables(table, claims)
+        files.write_text(table, reproduction.with_tables(table, claims))
     terminal.say_written(output)
     failed = [claim for claim in claims if claim.failed]
     if failed:

@@ -12,17 +12,19 @@ from matplotlib.lines import Line2D
 from clunk.analysis.comparison import Comparison
 from clunk.analysis.fitted import Fitted, fit_maps
 from clunk.analysis.measurements import ExperimentComparison
-from clunk.analysis.optimisation import Front
+from clunk.analysis.optimisation import RELEASE_TIME, Front
 from clunk.analysis.sobol import CONFIDENCE, Sensitivity
 from clunk.analysis.thresholds import DRAW, QUANTILE, Thresholds
 from clunk.plot import style
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
-from clunk.plot.plane import View, cell_edges, scale_panels, value_text
+from clunk.plot.plane import View, axis_label, cell_edges, scale_panels, value_text
 from clunk.plot.style import INK, LINE_COLOURS, Look
 from clunk.results.labels import FAILED, FAILED_CODE, primary_impacts
 from clunk.results.maps import Results
+from clunk.results.quantities import quantity_of
 from clunk.study.axes import ResultAxis
+from clunk.study.designs import axis_of
 from clunk.study.parameters import quantity
 from clunk.study.records import counted, fill, words
 
@@ -253,7 +255,16 @@ def trade_off(front: Front) -> Figure:
     ax = figure.add_subplot()
     minimized, bounded = front.traded
     ax.plot(*([best.quantities[name] for best in front.points] for name in (bounded, minimized)), "o-", color=INK)
-    ax.set(xlabel=bounded, ylabel=minimized)
+    ax.set(xlabel=_label(bounded, front), ylabel=_label(minimized, front))
     style.tidy(ax)
     style.lay_out(figure, ax, front.points[0].study.title, f"the least {minimized} for each {bounded}")
     return figure
+
+
+def _label(name: str, front: Front) -> str:
+    """Label of the axis of a quantity, of a key, or of the release time, which has no unit but a time's."""
+    if name == RELEASE_TIME:
+        return "Release time [s]"
+    if name in front.points[0].parameters:
+        return axis_label(axis_of(name, np.zeros(1)))
+    return quantity_of(name, front.points[0].study).plot_label

@@ -63,11 +63,11 @@ def history_figure(runs: Runs, name: str = "everything") -> Figure:
             ax.sharey(axes[0])
         draw(ax, group, looks)
         if title and len(groups) > 1:
-            labels = ", ".join(dict.fromkeys(run.trajectory.label for run in group))
-            ax.set_title(f"{title}: {labels}", loc="right", fontsize=9.0)
+            labels = {run.trajectory.label for run in group}
+            ax.set_title(f"{title}: {labels.pop()}" if len(labels) == 1 else title, loc="right", fontsize=9.0)
     if name == "closeup":
         _look_closely(axes[0], runs)
-    _finish(figure, axes, runs, outcomes=lashes == 1)
+    _finish(figure, axes, runs, lashes)
     return figure
 
 
@@ -103,13 +103,16 @@ def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool) -> None:
-    """Write the titles, and below a legend of the runs and of the touches; outcomes : of the lash in view."""
+def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, lashes: int) -> None:
+    """Write the titles, and below a legend of the runs and of the touches; lashes : how many are in view."""
     titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
     line = listing([*loads]) + (f", {cases.pop()}" if len(cases) == 1 else "")
-    told = {run.name: f": {outcome(run)}" if outcomes else "" for run in runs}
+    told = {run.name: f": {outcome(run)}" for run in runs}
+    if lashes > 1:
+        labels = {run.name: ", ".join(each.trajectory.label for each in run.lashes[:lashes]) for run in runs}
+        told = {name: f": {text}" if len(runs) > 1 else "" for name, text in labels.items()}
     handles = []
     if len(runs) == 1:
         line += told[runs[0].name]

@@ -31,8 +31,8 @@ def save_all(evidence: Evidence, claims: Sequence[Claim], directory: Path) -> No
     write_text(directory / "claims.json", json.dumps(plain(claims), indent=1, ensure_ascii=False) + "\n")
 
 
-def write_tables(path: Path, claims: Sequence[Claim]) -> None:
-    """Write the claims into a Markdown file, between its comments ``<!-- claims: errors -->`` … ``<!-- end -->``.
+def with_tables(path: Path, claims: Sequence[Claim]) -> str:
+    """A Markdown file's text with the claims between its comments ``<!-- claims: errors -->`` … ``<!-- end -->``.
 
     The table ``errors`` has the claims that are known not to hold, ``agrees`` the others. Raises ClunkError.
     """
@@ -50,7 +50,7 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
         if not end:
             raise ClunkError(f"{path} has no place for the claims: a line {begin.strip()}, and <!-- end --> after it.")
         text = before + begin + "\n".join([*rows, end]) + after
-    write_text(path, text)
+    return text
 
 
 def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:

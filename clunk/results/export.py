@@ -68,7 +68,8 @@ def _write_rows(stream: BinaryIO, headings: Sequence[str], rows: Iterable[Sequen
 def _write_geojson(stream: BinaryIO, results: AnyMap) -> None:
     """Write the boundaries of a map."""
     if results.boundaries is None:
-        raise ClunkError("The map has no boundaries; clunk sweep --boundaries adds those of a grid of two axes.")
+        adds = "" if results.sample else "; clunk sweep --boundaries adds those of a grid of two axes"
+        raise ClunkError(f"The map has no boundaries{adds}.")
     stream.write((json.dumps(results.boundaries.geojson(), ensure_ascii=False) + "\n").encode())
 
 

@@ -25,7 +25,7 @@ _LARGEST_FILE = 64 * 2**20  # bytes; a device or a results file must not fill th
 _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the stack
 _SEGMENT = re.compile(r"([A-Za-z0-9_-]+)((?:\[[^\[\]]+\])*)")
 _ITEM_NUMBER = re.compile(r"[0-9]{1,9}")
-_PLAIN_WORD = re.compile(r"(?:[^\W\d]|[./~])[\w./~-]*")  # or a path
+_PLAIN_WORD = re.compile(r"(?:[^\W\d]|[./~])(?:[\w./~-]|\[\d+\])*")  # or a path, or a key
 _WORDS_OF_TOML = {"true", "false", "inf", "nan"}
 
 

@@ -199,19 +199,19 @@ def words(value: Any, how: Told = Told()) -> str:
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
         return ", ".join(f"{key} = {words(item, Told(form=how.form))}" for key, item in value.items())
-    if isinstance(value, list | tuple):
-        return " ".join(words(item, Told(form=how.form)) for item in value)
     if value is None:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, float):
+    if isinstance(value, list | tuple):
+        text = " ".join(words(item, Told(form=how.form)) for item in value)
+    elif isinstance(value, float):
         text = number(value, how.form or ".6g")
     elif isinstance(value, int):
         text = f"{value:{how.form or ','}}"
     else:
         text = str(value)
-    return f"{text} {how.unit}" if how.unit else text
+    return f"{text} {how.unit}" if text and how.unit else text
 
 
 def number(value: float, form: str = ".6g") -> str:
