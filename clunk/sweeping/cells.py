@@ -41,8 +41,8 @@ _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _KEPT = 2  # batches of drivelines
 _TILE_BATCHES = 8  # of a tile whose cells have a driveline each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
-FEW = 32  # cells, whose time tells whether others are worth threads
-_SLOWER = 4  # times as long as beside many others a run takes beside few, in many regimes: most lanes are empty then
+FEW = 8  # cells, whose time tells whether others are worth threads
+_SLOWER = 4  # times as long as beside many others a run takes beside so few, in many regimes: lanes are empty then
 _FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 16  # of a run in a lash, that there is room for at first
@@ -202,7 +202,7 @@ class Grid:
         began = time.perf_counter()
         tile = self.tile_of(cells, stop)
         pace = (time.perf_counter() - began) / max(cells.size, 1)
-        fewer = FEW if self.structural else _SLOWER  # to prepare a driveline takes as long as to prepare many
+        fewer = 4 * FEW if self.structural else _SLOWER  # to prepare a driveline takes as long as to prepare many
         self.pace[0] = pace if cells.size > FEW else min(pace / fewer, self.pace[0])
         return tile
 
