@@ -52,22 +52,20 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     events[count].lash, events[count].speed, events[count].side = lash, speed, side
     touches = events[count : _note_touches_beside(at, log, before, lash, rebounds, count)]
     _strike_together(system, held, rebounds, x, touches)
-    touched, stops = 0, system.friction_count > 0 and abs(speed) <= _falling_speed(at, regime, lash, 2.0 * _APART)
-    for _ in range(_MOST_IMPULSES if stops or touches.size > 1 else 1):  # to place one moves the others
+    stops = system.friction_count > 0 and abs(speed) <= _falling_speed(at, regime, lash, 2.0 * _APART)
+    for _ in range(_MOST_IMPULSES if stops else touches.size**4):  # to place one moves the others, by less
         if stops:  # or what stuck would slip, part the flanks, and touch again, slower and slower, without end
             regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN, x)
             rubbing.stop_all(system, regime, x)
             keep_locked(system, regime, x, at.inputs)
-        touched, resting, moved = 0, held, 0.0
+        touched, resting = 0, held
         for touch in touches:
             gap = touch.side * at.inputs[gap_input(touch.lash)]
             if touches.size > 1:  # or they would touch apart as they become slow
-                moved = max(moved, _place(system, held, touch.lash, x, 0, gap))
+                _place(system, held, touch.lash, x, 0, gap)
             if not rebounds:
                 _hold(system, resting, touch.lash, x, gap)
             touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
-        if not stops and moved <= ROUNDING * _SWING:
-            break
     if system.friction_count > 0:  # where it stops, rates up to its speed are rounding
         regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN if stops else abs(speed), x)
         rubbing.stick_all(system, x, at.inputs)
@@ -195,13 +193,16 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
             count += 1
     # separations of flanks at rest: of those closed before, and open now, or closed on the other side, without a gap,
     # which is a separation, a touch and a lock
-    resting = 0  # on each other, whether they are closed or not
+    resting = near = 0  # on each other, whether they are closed or not; or nearer than what parts may move them
     for lash in lashes:
-        resting |= (system.contacts[before, lash].closed != 0 or rubbing.rest(at, lash)) << lash
+        rests = system.contacts[before, lash].closed != 0 or rubbing.rest(at, lash)
+        gap = at.inputs[gap_input(lash)] - abs(rubbing.twist_of(system, system.lashes[lash], x)[0])
+        resting |= rests << lash
+        near |= (rests or gap <= 2.0 * _APART * _terms_of_gap(at, lash)) << lash
     for lash in lashes:
         side, now = system.contacts[before, lash].side, system.contacts[successor, lash].side
-        others = resting & ~(1 << lash)
-        if side == 0 and others & ~held and resting >> lash & 1:  # or releasing these would move it by rounding
+        others = near & ~(1 << lash)
+        if side == 0 and resting & others & ~held and resting >> lash & 1:  # or to release these would move it
             twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
             _part_by(_APART, at, others, lash, 1 if twist > 0.0 else -1)
         if side in (0, now):
@@ -317,8 +318,8 @@ def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> No
 
 
 @part
-def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> float:
-    """Make what `_hold` does of q, in the angles from `first` on, or of q', in the speeds; return how far it was."""
+def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> None:
+    """Make what `_hold` does of q, in the angles from `first` on, or of q', in the speeds."""
     n, row, impulse = system.inertias, system.lashes[lash], system.impulse[held, lash]
     excess = -target
     last = -1
@@ -335,4 +336,3 @@ def _place(system: System, held: int, lash: int, x: FloatArray, first: int, targ
                 last = k
     rest -= row[n + last] * x[first + last]
     x[first + last] = -rest / row[n + last]
-    return abs(excess)

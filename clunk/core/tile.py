@@ -137,7 +137,7 @@ def run_tile(
         The first cell that was not run, and how many impacts were written.
     """
     systems, tables = batch.systems, batch.tables
-    size, lashes, cells = systems.lashes.shape[-1], systems.lash_count, len(output.cells)
+    size, lashes, left = systems.lashes.shape[-1], systems.lash_count, len(output.cells) - first
     capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (capacity_of(max_events, lashes), 0)
     x = np.empty(size)
     if not isinstance(tables, Flows):
@@ -150,10 +150,10 @@ def run_tile(
         )
         room = make_room(system, tables)
         return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, x, stop)
-    slots = min(UNDER_WAY, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
+    slots = min(UNDER_WAY, max(left, 1), max(_EVENT_MEMORY // capacity, 1))
     space = workspace_of(systems, tables, cases.loads, slots, capacity, states)
     free = np.arange(slots)
-    begins, impacts = np.full(cells - first, -1), output.impacts
+    begins, impacts = np.full(left, -1), output.impacts
     done = by_exact(space, undecided, cases, first, max_events, output, x, free, begins, stop)
     # runs were over in any order: put their impacts in that of the cells
     counts = output.cells["primary_impacts"][first:done].sum(axis=1, dtype=np.int64)

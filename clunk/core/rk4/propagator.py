@@ -133,8 +133,7 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
         by_ramp = [TORQUE, TORQUE_RATE]
         rows[:, states:size] = -steady[:, by_ramp]
         of_ramp[:, :2], of_ramp[:, 2] = bent[:, by_ramp], STRIDE * step * bends_on[:, TORQUE_RATE]
-    by_member = (halves(array).swapaxes(-3, -2).reshape(array.shape) for array in (rows, -steady))
-    rows, by_inputs = by_member
+    rows, by_inputs = (halves(array).swapaxes(-3, -2).reshape(array.shape) for array in (rows, -steady))
     reach = flows.watch[..., SWAY : SWAY + PAIRS].copy()  # a kernel is compiled anew for what is not contiguous
     bounds = rows, reach.reshape(pairs), sag.reshape(pairs), of_ramp
     return stable, by_inputs, bent, strides * flows.steady, strides, *bounds, flows.origin_output[:, 0].copy()

@@ -39,7 +39,6 @@ _Eight = tuple[float, float, float, float, float, float, float, float]
 class _Grid(NamedTuple):
     """The time grid of a piece of the load: multiples of the step up to the end of the piece, or the end time."""
 
-    step: float  # s
     full: int  # how many full steps there are
     rest: float  # s, what is left behind them
     last: int  # steps, that one included
@@ -71,7 +70,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     guard, is_chosen = -1, False  # what ended the phase before, and chose the states of all that rests
     while True:
-        time = begin + index * grid.step + offset
+        time = begin + index * steps.step + offset
         if not is_chosen:
             entry = recheck(Moment(system, time, x, inputs, WITHIN, OF_STEPS), log, entry, guard < 0)
         roll_states(system, rolled, log, written, entry.written)
@@ -82,9 +81,9 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         combine(steps.by_inputs[flow], room.weighed, room.by_inputs)
         extremes = log.extremes[entry.written - 1]
         while True:  # one expanded step, then full ones while nothing can happen in them, until a guard ends the phase
-            length, spanned = (grid.step if index < grid.full else grid.rest) - offset, 1
-            if length < _SHORTEST * grid.step and index + 1 < grid.last:
-                length, spanned = length + (grid.step if index + 1 < grid.full else grid.rest), 2
+            length, spanned = (steps.step if index < grid.full else grid.rest) - offset, 1
+            if length < _SHORTEST * steps.step and index + 1 < grid.last:
+                length, spanned = length + (steps.step if index + 1 < grid.full else grid.rest), 2
             rigid.keep_locked(system, entry.regime, x, inputs)
             expand(system, flow, x, room)
             length = max(length, 0.0)
@@ -93,7 +92,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 s, guard = length, -1  # what follows tells whether it happens
             widen_extremes(system, flow, room, s, extremes)
             if not finish(room, s, x):
-                return Outcome(NON_FINITE, entry.written, 0, begin + index * grid.step + offset)
+                return Outcome(NON_FINITE, entry.written, 0, begin + index * steps.step + offset)
             rolled += turn_back(system, x)
             if guard >= 0:
                 offset += s
@@ -112,12 +111,12 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 index += taken
                 clear = taken == budget
                 if stop[0]:
-                    return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
+                    return Outcome(INTERRUPTED, entry.written, 0, begin + index * steps.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
                     over = _is_settled(system, steps, entry.regime, room, extremes)
             copy(room.z[: x.size], x)
             if over:
-                return Outcome(OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
+                return Outcome(OK, entry.written, QUALITY_COMPLETE, begin + index * steps.step)
             if index >= grid.last:
                 end = end_of_piece(system, load, piece)
                 if end == system.end_time[0]:
@@ -127,7 +126,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
                 break
         written = entry.written
         rigid.keep_locked(system, entry.regime, x, inputs)
-        began, time = time, begin + index * grid.step + offset
+        began, time = time, begin + index * steps.step + offset
         if not may_switch(system, log, written, stages):
             return Outcome(EVENT_BUFFER_FULL, written, 0, time)
         if guard < 0:  # another piece of the load
@@ -140,8 +139,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         is_chosen = chooses(system, entry.regime, guard)
         entry = switch(at, log, entry.regime, guard, written)
         stages += entry.written == written
-        if spanned == 2 and offset >= grid.step:
-            index, offset = index + 1, offset - grid.step
+        if spanned == 2 and offset >= steps.step:
+            index, offset = index + 1, offset - steps.step
 
 
 @part
@@ -187,7 +186,7 @@ def _grid_of(system: System, steps: Steps, load: FloatArray, piece: int) -> _Gri
     length = end_of_piece(system, load, piece) - load[piece, BEGIN]
     full = int(np.floor(length / steps.step + 1e-9))
     rest = length - full * steps.step
-    return _Grid(steps.step, full, rest, full + 1 if rest > 1e-9 * steps.step else full)
+    return _Grid(full, rest, full + 1 if rest > 1e-9 * steps.step else full)
 
 
 @inlined_part
