@@ -31,8 +31,8 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
     than that ends with q' = 0: then the flanks lock, unless the torque that holds them so would pull: then they are
     open, with the gap at zero and about to open. Where other open lashes touch at the same time, as those of equal
-    branches do, all of them rebound, or come to rest, by their speeds before. A touch so slow that its rebound would be
-    rounding leaves at rest what stuck.
+    branches do, all of them rebound, or come to rest, by their speeds before. A touch no faster than flanks that
+    `_part_by` moved fall back leaves at rest what stuck.
     """
     system, x = at.system, at.x
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
@@ -193,7 +193,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
             count += 1
     # separations of flanks at rest: of those closed before, and open now, or closed on the other side, without a gap,
     # which is a separation, a touch and a lock
-    resting = near = 0  # on each other, whether they are closed or not; or nearer than what parts may move them
+    resting = near = 0  # on each other, closed or not; and those so near that to part others could close them
     for lash in lashes:
         rests = system.contacts[before, lash].closed != 0 or rubbing.rest(at, lash)
         gap = at.inputs[gap_input(lash)] - abs(rubbing.twist_of(system, system.lashes[lash], x)[0])

@@ -24,7 +24,7 @@ class Runner:
     """Runs of a study at points of some of its keys, for optimisers, designs of experiments and searches of one's own.
 
     What does not depend on the keys is prepared once, and what does is prepared for all points of a call together. A
-    call with few points takes some 0.3 ms beside its runs, where the keys are of the load or a backlash.
+    call with few points takes some 0.5 ms beside its runs, where the keys are of the load or a backlash.
 
     Parameters
     ----------
