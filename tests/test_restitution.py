@@ -239,6 +239,32 @@ def test_without_a_gap_they_change_once_whatever_the_step_and_the_ratio(step):
         assert run.label == "CR(1)"
 
 
+PASSING_ITS_FLANKS = """
+driveline.inertias = [0.008481, 0.3226, 0.01319, 0.02554]
+driveline.shafts = [
+    { between = [3, 1], ratio = -1.0, stiffness = 0.02407, damping = 0.001429 },
+    { between = [4, 1], ratio = -0.7, stiffness = 279.3, damping = 0.1539 },
+    { between = [4, "ground"], damping = 0.1005 },
+    { between = [2, "ground"], damping = 0.1738 },
+]
+lash.between = [4, 2]
+lash.ratio = 2.5
+lash.backlash_deg = 0.0
+lash.radius = 0.02612
+lash.contact = { model = "restitution", restitution = 0.9 }
+load = { on = 3, profile = "lag", initial_torque = 1.43, final_torque = -0.0715, time_constant = 0.1901 }
+solver = { method = "exact", end_time = 15.51 }
+"""
+
+
+@pytest.mark.parametrize("torque", [1.03675, 1.847, 2.86])
+def test_without_a_gap_they_do_not_change_back_by_rounding(torque):
+    """The torque between the flanks is zero where they change: its rounding pulled them back, again and again."""
+    run = simulate(study_from_text(PASSING_ITS_FLANKS, overrides=[f"load.initial_torque={torque}"]))
+    assert run.label == "DS(3)CR(1)"
+    assert np.count_nonzero(run.events["kind"] == TOUCH) == 7  # as often as the torque changes its sign
+
+
 WITHOUT_A_GAP_BEHIND = """
 [driveline]
 inertias = [0.024, 0.0193, 0.0088, 0.01]

@@ -575,3 +575,58 @@ def test_flanks_that_part_at_rest_do_not_reach_those_that_an_impact_has_just_par
     assert balance(run).relative_residual < (
         1e-11 if method == "exact" else 1e-7
     )  # rk4's error on 1e-4 s; a touch took 1e-4
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_impact_as_slow_as_parted_flanks_fall_sets_nothing_in_motion_beyond_a_gear(method):
+    """There it gives a friction a greater rate than its own, by which that slipped, and let the other flanks part and
+    fall by turns, without end."""
+    overrides = (f'solver.method="{method}"', "load.final_torque=-0.01336052")
+    run = simulate(clunk.study_from_text(PARTED_BESIDE, overrides=overrides))
+    assert len(run.events) < 500  # some 250; else 2,000 and more
+
+
+HEAVY_BESIDE = """
+driveline.inertias = [6.856e-05, 0.6361, 443.0, 0.0008185, 1.748e-05]
+driveline.shafts = [
+    { between = [2, 5], stiffness = [0.3473, 2.01], damping = 0.0, breakpoints_deg = [-0.425] },
+    { between = ["ground", 3], stiffness = 0.5441, damping = 0.3105 },
+    { between = ["ground", 4], stiffness = 0.9039, damping = 0.0 },
+    { between = ["ground", 5], stiffness = 1.218, damping = 0.0 },
+    { between = [1, 3], stiffness = 0.0, damping = 0.0, friction = 0.001365 },
+    { between = [2, "ground"], friction = 0.008575 },
+    { between = [5, "ground"], damping = 7.174e-05 },
+]
+[[lash]]
+between = [1, 2]
+backlash_deg = 0.0
+radius = 0.1569
+contact = { model = "restitution", restitution = 0.02574 }
+[[lash]]
+between = [4, 1]
+backlash_deg = 0.4249
+radius = 0.1078
+contact = { model = "restitution", restitution = 0.549 }
+[[lash]]
+between = [2, 3]
+backlash_deg = 0.01307
+radius = 0.1549
+contact = { model = "restitution", restitution = 0.437 }
+[load]
+on = 2
+profile = "sine"
+initial_torque = -0.019947
+final_torque = 0.010614
+amplitude = 0.02491
+frequency = 0.06879
+[solver]
+step = 3.249e-4
+end_time = 19.49
+"""
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_touch_at_rest_does_not_stop_what_sticks_to_a_light_part_by_speeding_up_a_heavy_one(method):
+    """443 kg m² were sped up by 5e-7 rad/s, half of what a part of 7e-5 kg m² had beside it: 1e-3 of the energy."""
+    run = simulate(clunk.study_from_text(HEAVY_BESIDE, overrides=f'solver.method="{method}"'))
+    assert balance(run).relative_residual < 1e-9  # by rounding some 1e-11

@@ -53,9 +53,14 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     touches = events[count : _note_touches_beside(at, log, before, lash, rebounds, count)]
     _strike_together(system, held, rebounds, x, touches)
     stops = system.friction_count > 0 and abs(speed) <= _falling_speed(at, regime, lash, 2.0 * _APART)
+    fastest = abs(speed)
+    if stops:  # rates up to those that it gives are rounding
+        for k in range(x.size):
+            fastest = max(fastest, abs(speed * system.impulse[held, lash, k]))
+        fastest /= rubbing.WITHIN
     for _ in range(_MOST_IMPULSES if stops else touches.size**4):  # to place one moves the others, by less
         if stops:  # or what stuck would slip, part the flanks, and touch again, slower and slower, without end
-            regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN, x)
+            regime = rubbing.in_motion(system, regime, fastest, x)
             rubbing.stop_all(system, regime, x)
             keep_locked(system, regime, x, at.inputs)
         touched, resting = 0, held
@@ -66,8 +71,8 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
             if not rebounds:
                 _hold(system, resting, touch.lash, x, gap)
             touched, resting = touched | 1 << touch.lash, resting | 1 << touch.lash
-    if system.friction_count > 0:  # where it stops, rates up to its speed are rounding
-        regime = rubbing.in_motion(system, regime, abs(speed) / rubbing.WITHIN if stops else abs(speed), x)
+    if system.friction_count > 0:
+        regime = rubbing.in_motion(system, regime, fastest, x)
         rubbing.stick_all(system, x, at.inputs)
     for touch in touches:
         record(at, log, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
@@ -213,6 +218,9 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
         clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * scale
         if now:
             _hold(system, held & ~(1 << lash), lash, x, 0.0)
+            if zero_guard < 0 and not clearly:
+                force = lash * system.functionals_per_lash + FORCE
+                zero_guard, zero_order = guard_of(system, successor, force, float(now)), 1
         elif not is_carried and zero_guard < 0 and (clearly or system.lash_count == 1):
             # released where it was held, but for what rounding has added up; unless it presses, only the load's slope
             # may tell what zero is

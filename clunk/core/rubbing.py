@@ -77,8 +77,7 @@ def stop_all(system: System, regime: int, x: FloatArray) -> None:
     """Make zero, in the state, the rates of twist of the frictions that stick in a regime  [rad/s]."""
     for k in range(system.friction_count):
         if system.friction_states[regime, k] == STICKS:
-            row = system.frictions[k]
-            _speed_up(row, row, -_rate(system, row, 0.0, x)[0], x)
+            _speed_up(system, k, 0, -_rate(system, system.frictions[k], 0.0, x)[0], x)
 
 
 @part
@@ -133,7 +132,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             brake = weigh(system.frictions[k], system.inputs[0, :, input_of_friction(system, k)])
             most += (terms + system.friction_torques[k] * abs(brake)) * _STARTING_TIME
-            if abs(rate) > at.within * most:
+            if abs(rate) >= at.within * most:
                 continue
         resting |= 1 << k
     failed = regime if ended >= 0 and event < 0 else -1
@@ -157,16 +156,16 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             if sets_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, functional, way), 1 if clearly else 2
             else:
-                column = system.inputs[system.regimes[best].flow, :, input_of_friction(system, k)]
-                _speed_up(row, column, way * kick - rate, x)
+                _speed_up(system, k, system.regimes[best].flow, way * kick - rate, x)
                 is_set_off = True
     return best, zero_guard, zero_order
 
 
 @part
-def _speed_up(row: FloatArray, along: FloatArray, kick: float, x: FloatArray) -> None:
-    """Add a kick to the rate, a row (N,) times the state, by a change along a direction (N,)  [rad/s]."""
-    rate = weigh(row, along)
+def _speed_up(system: System, friction: int, flow: int, kick: float, x: FloatArray) -> None:
+    """Add a kick to the rate of twist of a friction, by an impulse of it in a flow in which it slips  [rad/s]."""
+    along = system.inputs[flow, :, input_of_friction(system, friction)]
+    rate = weigh(system.frictions[friction], along)
     for j in range(x.size):
         x[j] += kick * along[j] / rate
 
