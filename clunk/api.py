@@ -20,7 +20,7 @@ from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, ConfigError
-from clunk.study.study import Study
+from clunk.study.study import Study, takes_study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@takes_study
 def sweep(
     study: Study,
     output: FilePath | None = None,
@@ -108,6 +109,7 @@ def sweep(
     return results
 
 
+@takes_study
 def tolerance_map(
     study: Study,
     output: FilePath | None = None,
@@ -152,6 +154,7 @@ def tolerance_map(
     return probabilities
 
 
+@takes_study
 def run_points(
     study: Study,
     points: Mapping[str, npt.ArrayLike],

@@ -52,6 +52,12 @@ def test_every_public_name_is_there_and_documented():
         _ = clunk.swep
 
 
+@pytest.mark.parametrize("name", ["sweep", "simulate", "thresholds", "fit", "optimize", "sensitivity", "verify"])
+def test_a_path_in_the_place_of_a_study_is_a_sentence(name):
+    with pytest.raises(ClunkError, match=rf"^{name} takes a study, not a str; clunk\.load_study\(path\) reads one\.$"):
+        getattr(clunk, name)("study.toml")
+
+
 def test_import_waits_for_nothing_heavy():
     code = (
         "import sys, clunk; assert not "

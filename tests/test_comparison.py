@@ -117,6 +117,26 @@ def test_differing_cells_are_counted_by_transition_and_found_by_their_values() -
     assert "3 of 6 cells differ (50 %)" in text_of(comparison)
 
 
+@pytest.mark.parametrize("flagged", [(0, 1), (1, 0)])
+def test_a_cell_that_either_map_leaves_undecided_is_flagged(flagged: tuple[int, int]) -> None:
+    a, b = (
+        small(names, quality=np.full((2, 3), 2 * each, np.uint8))
+        for names, each in zip((A, A[::-1]), flagged, strict=True)
+    )
+    comparison = compare(a, b)
+    assert comparison.differing > comparison.differing_elsewhere == 0
+
+
+def test_a_difference_is_a_share_of_the_largest_and_of_nothing_none() -> None:
+    still = small([["NI"] * 3] * 2)
+    moved, slower = small(A), small(A, approach_velocity=0.9 * small(A).approach_velocity)
+    flagged = small([["NI"] * 3] * 2, quality=np.full((2, 3), 2, np.uint8))
+    zeros = {each.quantity: each.over_largest for each in compare(still, flagged).largest_differences}
+    assert zeros["severity"] == 0.0
+    (slow,) = [each for each in compare(slower, moved).largest_differences if each.quantity == "approach_velocity"]
+    assert slow.over_largest == pytest.approx(0.1)
+
+
 def test_a_cell_at_zeros_is_told_and_counts_of_nothing_are_not() -> None:
     difference = Difference("severity", 1.0, "rad/s²", 0.5, place(0.0, 0.0))
     told = " ".join(text_of(difference).split())
@@ -297,6 +317,12 @@ def test_semicolons_may_separate_and_commas_be_the_points(tmp_path: Path) -> Non
     assert other == Measurement(4, (5.0,), "DS(1)", {}, {})
 
 
+def test_headings_may_end_with_their_unit_and_lines_with_separators(tmp_path: Path) -> None:
+    heading = "load.ratio [1],lash.backlash_deg [degrees],label,impact_time_1 [s],impact_time_std,,"
+    (one,) = read_experiment(written(tmp_path, f"{heading}\n2.5,6,SS(1),0.262,0.002,\n")).measurements
+    assert one == Measurement(2, (2.5, 6.0), "SS(1)", {"impact_time": {0: 0.262}}, {"impact_time": 0.002})
+
+
 HEADER = "# a comment\nload_ratio,lash_backlash_deg,label\n"
 
 
@@ -307,6 +333,8 @@ HEADER = "# a comment\nload_ratio,lash_backlash_deg,label\n"
         ("label\nNI\n", 1, "must be columns"),
         ("load_ratio,load.ratio,label\n1,1,NI\n", 1, "more than one column load_ratio"),
         ("load_ratio:label\n1:NI\n", 1, "separated by commas or semicolons"),
+        ("lash.backlash_deg [rad],label\n1,NI\n", 1, 'lash.backlash_deg is in degrees, not in "rad"'),
+        ("load.ratio,label,impact_time_1 [ms]\n1,NI,\n", 1, 'impact_time_1 is in s, not in "ms"'),
         (HEADER + "1,2,NI\n\n1,two,NI\n", 5, 'lash_backlash_deg must be a finite number, not "two"'),
         (HEADER + "nan,2,NI\n", 3, "load_ratio must be a finite number"),
         (HEADER + "1,2,D(1)*S(1)\n", 3, "'D(1)*S(1)' is no label"),

@@ -129,6 +129,37 @@ def test_a_fit_recovers_the_scale_of_the_gap(measured: Experiment) -> None:
     assert fitted.undetermined[0].spread < 0.3
 
 
+def test_an_estimate_is_what_priors_and_measurements_leave_probable(measured: Experiment) -> None:
+    """Of a stiffness that no label depends on the prior's middle, and not any that meets them as well."""
+    stiffness = '[[fit.parameters]]\nparameter = "lash.contact.stiffness"\ndistribution = "lognormal"\nsigma = 0.3\n'
+    labels = [replace(each, impacts={}, std={}) for each in measured.measurements]
+    fitted = clunk.fit(study_of(GAP, stiffness + 'draws = "factor"\n'), replace(measured, measurements=tuple(labels)))
+    assert fitted.met == len(labels)
+    inside = (fitted.intervals()[:, 0] <= fitted.estimate) & (fitted.estimate <= fitted.intervals()[:, 1])
+    assert inside.all()
+
+
+def test_what_the_data_leave_open_is_a_direction_of_the_ensemble(measured: Experiment) -> None:
+    """Coordinates on an ellipse in space, whose long axis is (1, 2, 3), and its short one a tenth of it."""
+    along, turn = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    across = np.cross(along, [1.0, 0.0, 0.0]) / np.linalg.norm(np.cross(along, [1.0, 0.0, 0.0]))
+    ellipse = np.outer(np.cos(turn), along) + 0.1 * np.outer(np.sin(turn), across)
+    fitted = replace(clunk.fit(study_of(GAP), measured), coordinates=ellipse, weights=np.full(64, 1.0 / 64.0))
+    widest, *_ = fitted.undetermined
+    assert widest.spread == pytest.approx(np.sqrt(0.5))
+    assert abs(np.dot(widest.direction, along)) == pytest.approx(1.0)
+
+
+def test_the_nearest_measurement_predicts_what_lies_beside_it(measured: Experiment) -> None:
+    fitted = clunk.fit(study_of(GAP), measured)
+    alone, *_ = fitted.predictions
+    labels = [each.label for each in measured.measurements]
+    spans = np.ptp(fitted.points, axis=0)
+    apart = (((fitted.points[:, None] - fitted.points) / spans) ** 2).sum(axis=2) + np.diag(np.full(len(labels), 9.0))
+    assert alone["nearest"] == sum(labels[k] == labels[j] for k, j in enumerate(apart.argmin(axis=1)))
+    assert 0 < alone["nearest"] < len(labels)
+
+
 def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Experiment) -> None:
     first, *others = measured.measurements
     wrong = replace(measured, measurements=(replace(first, label="DS(9)"), *others))

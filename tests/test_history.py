@@ -281,6 +281,18 @@ def test_small_gap_response_swings_within_its_envelope(model):
     assert crossing.get_xdata()[0] == pytest.approx(0.1 + np.log(5.0) / response.decay)
 
 
+@pytest.mark.parametrize(("ratio", "crosses"), [(-5.0, True), (-0.5, False), (0.5, False)])
+def test_the_envelope_of_a_torque_that_reverses_crosses_zero_where_the_ratio_is_beyond_one(ratio, crosses):
+    study = nominal("gap", f"load.ratio={ratio}")
+    response = SmallGap.of(study)
+    (ax,) = small_gap_of(study).axes
+    marked = [line.get_xdata()[0] for line in ax.lines if line.get_gid() == "tc"]
+    assert len(marked) == crosses
+    if crosses:
+        swing = abs(response.start - response.end) * np.exp(-response.decay * (marked[0] - response.step_time))
+        assert swing == pytest.approx(abs(response.end), rel=1e-12)
+
+
 @pytest.mark.parametrize("name", ["rig_with_friction", 8103, 8112])
 def test_where_friction_yields_at_a_touch_no_row_is_of_a_regime_that_lasts_no_time(name):
     """At an event there are the state just before and just after; accelerations are within the windows' extremes."""

@@ -162,6 +162,7 @@ def test_a_trace_may_be_written_as_loggers_do(text, tmp_path):
         ("time [ms],torque [Nm]", [' line 1: a column headed "time [ms]" is taken for time in s']),
         ("t (s),speed [1/min],torque [Nm]", [' line 1: a column headed "speed [1/min]" is taken for torque in N m']),
         ("time (s),torque of the engine (N·m) ,gear [-]", []),
+        ("Time [seconds],T [lbf.ft]", [' line 1: a column headed "T [lbf.ft]" is taken for torque in N m']),
         ("bench (3 of 4)\ntime,torque (engine)", []),
     ],
 )

@@ -289,6 +289,7 @@ def test_over_axes_the_worst_counts(brief):
     study = study_from_text(text + "[[sweep.axes]]\nparameter = 'load.ratio'\nvalues = [2.0, 3.0, 5.0]\n")
     best = optimize(study)
     assert best.value == clunk.sweep(best.study).severity.max()
+    assert best.margin == np.abs(clunk.sweep(best.study).margin).min()
 
 
 def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):

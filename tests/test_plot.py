@@ -533,6 +533,15 @@ def colours_of(results: Results, frequency: float) -> np.ndarray:
     return layers.colours_of(layers.codes).reshape(-1, 3)
 
 
+def test_a_legend_of_several_panels_has_the_order_of_labels() -> None:
+    axis = ResultAxis("load.frequency", np.array([3.0, 4.0]), "frequency", "f", "Hz")
+    shape = (2, len(RATIO), len(BACKLASH))
+    sequence = np.where(np.indices(shape).sum(axis=0) % 2, 0, [[[1]], [[2]]]).astype(np.int16)  # no name has room
+    results = make((axis, RATIO, BACKLASH), ("DS(3)", "SS(2)", "SS(1)"), sequence, np.ones(shape))
+    texts = notes(plot.draw(results, "regimes", facets=["load.frequency"]))
+    assert [text for text in texts if text in results.labels] == ["SS(1)", "SS(2)", "DS(3)"]
+
+
 def test_a_panel_without_any_value_is_grey_beside_others() -> None:
     figure = plot.draw(of_two_frequencies(3.0, 30.0, fails=True), "severity", facets=["load.frequency"])
     assert [panel.get_title(loc="left") for panel in figure.subfigs[0].axes[:2]] == [f"f = {f} Hz" for f in (3, 4)]

@@ -119,6 +119,18 @@ def test_an_outcome_changes_where_dense_runs_say(outcome, ratio):
     assert result.value.size
 
 
+def test_outcomes_are_asked_for_as_they_are_written_and_what_is_none_is_refused():
+    labels = thresholds(study(DURATION, of=RAMP), along="load.duration")
+    assert labels.where("DS(1)SS(1)") == labels.where("D(1)+S(1)") == labels.where("DS(1) SS(1)") != []
+    with pytest.raises(ClunkError, match="DS1' is no label"):
+        labels.where("DS1")
+    with pytest.raises(ClunkError, match=r"True is no outcome; these are DS\(1\), DS"):
+        labels.where(True)
+    crossings = thresholds(study(DURATION, of=RAMP), along="load.duration", of="double_sided")
+    with pytest.raises(ClunkError, match="NI is no outcome"):
+        crossings.where("NI")
+
+
 def test_counts_of_impacts_change_where_labels_do():
     """The margin of the runs shows both where impacts come and go between two values of the axis."""
     table, along = odd_table(207), "driveline.inertias[1]"

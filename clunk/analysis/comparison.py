@@ -24,7 +24,7 @@ from clunk.study.designs import with_cells
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.records import SENTENCE, Record, counted, percent, tells, told
-from clunk.study.study import Study
+from clunk.study.study import Study, takes_study
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
@@ -205,6 +205,7 @@ def _verdict(cells: int, differing: int, elsewhere: int) -> str:
     return f"{differ}, of {elsewhere:,} of them where no run is flagged as undecided or grazing."
 
 
+@takes_study
 def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Comparison:
     """Run a study by both methods, rk4 (A) and exact (B), whichever its own is, and compare.
 

@@ -32,7 +32,7 @@ from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import located, nominal_value, spellings, with_draws
 from clunk.study.rules import complaint
-from clunk.study.study import Study
+from clunk.study.study import Study, takes_study
 from clunk.sweeping.progress import Progress, reporting, unseen
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
@@ -241,6 +241,7 @@ _OF_PRIOR = 0.1  # share of a population that the prior proposes
 _COUNTING = 50.0  # draws that are to count for the kernels to follow the likelihood as it is
 
 
+@takes_study
 def fit(
     study: Study,
     measurements: FilePath | Experiment,
@@ -302,7 +303,8 @@ def fit(
     numbers = np.vstack([nominal, candidates.numbers(candidates.coordinates)])
     ends = candidates.numbers(np.outer([-np.inf, np.inf], [1.0] * len(priors)))
     is_allowed = (np.clip(numbers, *ends) == numbers).all(axis=1)
-    best = np.where(is_allowed, losses(matches, candidates.wanted, settings), np.inf).argmin()
+    unlikely = np.append(0.0, _unlikely(candidates.coordinates))  # the config is taken as the middle of its priors
+    best = np.where(is_allowed, losses(matches, candidates.wanted, settings) + unlikely, np.inf).argmin()
     return Fitted(
         study=study,
         experiment=experiment,
@@ -329,11 +331,15 @@ def _search(candidates: Candidates) -> None:
     from scipy.optimize import differential_evolution
     from scipy.stats import norm
 
+    def improbability(shares: Floats) -> Floats:
+        coordinates = norm.ppf(np.clip(shares.T, 1e-12, 1.0 - 1e-12))
+        return candidates(coordinates) + _unlikely(coordinates)
+
     settings, count = candidates.fit, len(candidates.priors)
     populations = settings.candidates // (_SEARCHED * count)
     if populations:
         differential_evolution(
-            lambda shares: candidates(norm.ppf(np.clip(shares.T, 1e-12, 1.0 - 1e-12))),
+            improbability,
             [(0.0, 1.0)] * count,
             init="sobol",
             popsize=_SEARCHED,
@@ -344,6 +350,11 @@ def _search(candidates: Candidates) -> None:
             updating="deferred",
             seed=np.random.default_rng([settings.seed, 0]),
         )
+
+
+def _unlikely(coordinates: Floats) -> Floats:
+    """Minus the logarithm of the density, in coordinates (n, d) in which it is standard normal, of the priors."""
+    return 0.5 * np.square(coordinates).sum(axis=1)
 
 
 def sample(

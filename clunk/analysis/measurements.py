@@ -14,10 +14,11 @@ import numpy as np
 
 from clunk.results.labels import FAILED, double_sided, flanks_of_label, normalised_label
 from clunk.results.maps import Results
+from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.study.axes import ResultAxis, variable_of
 from clunk.study.document import FilePath, read_text
 from clunk.study.errors import ClunkError, shorten
-from clunk.study.parameters import spellings
+from clunk.study.parameters import quantity, spellings
 from clunk.study.records import SENTENCE, Record, counted, tells, told
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
@@ -104,6 +105,8 @@ def experiment_of(text: str, path: FilePath) -> Experiment:
             if not any(cells):
                 continue
             where = f"{path}, line {reader.line_num}"
+            while not cells[-1] and len(cells) > len(columns):  # behind separators at the end
+                cells.pop()
             if not columns:
                 columns = _columns(cells, where)
             else:
@@ -122,6 +125,7 @@ def experiment_of(text: str, path: FilePath) -> Experiment:
 
 def _columns(cells: list[str], where: str) -> list[str]:
     """Names of the columns as they are in results files, "label" among them."""
+    cells = [_without_unit(cell, where) for cell in cells]
     columns = [cell if _is_measured(cell) else variable_of(cell) for cell in cells]
     if "label" not in columns or all(map(_is_measured, columns)):
         raise ClunkError(
@@ -132,6 +136,18 @@ def _columns(cells: list[str], where: str) -> list[str]:
     if twice:
         raise ClunkError(f"{where}: there is more than one column {twice[0]}.")
     return columns
+
+
+def _without_unit(heading: str, where: str) -> str:
+    """The name in a heading that may end with its unit in brackets. Raises ClunkError where that is another one."""
+    name, bracket, unit = heading.partition(" [")
+    if bracket:
+        measured = _OF_IMPACTS.fullmatch(name)
+        meant = REGIME_QUANTITIES[measured[1]].unit if measured else quantity(name).unit
+        found, known = (re.sub("[^a-z]", "", each.lower()) for each in (unit, meant))
+        if found != known:
+            raise ClunkError(f"{where}: {name} is in {meant}, not in {shorten(unit.strip('] '))}.")
+    return name
 
 
 def _is_measured(column: str) -> bool:

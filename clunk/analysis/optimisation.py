@@ -26,7 +26,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.models import Optimize, lash_position
 from clunk.study.parameters import drawn_numbers, nominal_value, with_draws
 from clunk.study.records import SENTENCE, Record, tells, told
-from clunk.study.study import Study, replace_values
+from clunk.study.study import Study, replace_values, takes_study
 from clunk.sweeping.progress import Progress, reporting, unseen
 from clunk.sweeping.runner import Runner
 
@@ -316,6 +316,7 @@ def _table(study: Study) -> Optimize:
     return study.optimize
 
 
+@takes_study
 def optimize(
     study: Study,
     *,

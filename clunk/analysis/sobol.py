@@ -21,7 +21,7 @@ from clunk.study.loads import PROFILES
 from clunk.study.models import lash_position
 from clunk.study.parameters import nominal_value
 from clunk.study.records import Record, tells, told, words
-from clunk.study.study import Study
+from clunk.study.study import Study, takes_study
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 
@@ -115,6 +115,7 @@ class Sensitivity(Record, eq=False, repr=False):
         return {key: nominal_value(self.study, key) for key in keys}
 
 
+@takes_study
 def sensitivity(
     study: Study,
     *,

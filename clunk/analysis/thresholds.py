@@ -38,7 +38,7 @@ from clunk.analysis.search import (
     with_hidden,
 )
 from clunk.core.status import Status
-from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.labels import FAILED, FAILED_CODE, normalised_label
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
@@ -47,7 +47,7 @@ from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
 from clunk.study.parameters import drawn_numbers, numbered, spellings, with_draws
 from clunk.study.records import as_text
-from clunk.study.study import Study
+from clunk.study.study import Study, takes_study
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.sweep import engine_of
 
@@ -158,8 +158,16 @@ class Thresholds(Design):
 
         at : of each other axis, by the name of its variable, as in ``lash_backlash_deg=6.0``
 
-        Raises ClunkError where an axis is not named, or something that is none; or a value lies beyond an axis.
+        Raises ClunkError where an axis is not named, or something that is none; a value lies beyond an axis; or the
+        outcome is no label, of labels, or of another kind than those that there are.
         """
+        if word not in (FAILED, UNCERTAIN):
+            if isinstance(word, str) != isinstance(self.words[0], str):
+                raise ClunkError(f"{word} is no outcome; these are {listing([*map(str, self.words)])}.")
+            try:
+                word = normalised_label(word) if isinstance(word, str) else word
+            except ValueError as error:
+                raise ClunkError(f"{error}; labels are written like {self.words[0]}.") from None
         names = {axis.variable: axis for axis in self.axes}
         if set(names) != set(at):
             raise ClunkError(
@@ -170,6 +178,7 @@ class Thresholds(Design):
         return [(begin, end) for begin, end, code in self.intervals(cell) if self.word(code) == word]
 
 
+@takes_study
 def thresholds(
     study: Study,
     *,

@@ -73,8 +73,8 @@ def simulate(
     studies = _studies_to_simulate(source, overrides, at, overlay)
     if output is not None:
         files.check(output, (*files.PICTURES, ".csv"), reads=source)
-        if output.suffix.lower() == ".csv" and len(studies) > 1:
-            raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
+        if len(studies) > 1 and (output.suffix.lower() == ".csv" or figure == "small-gap"):
+            raise click.UsageError(f"{output} takes one run; leave --overlay out, or draw another --figure.")
     if note := compiling_note(*(study for _, study in studies)):
         terminal.complain(note)
     for _, study in studies:

@@ -87,12 +87,15 @@ def sweep(
 
 def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None, as_json: bool) -> None:
     """Print a finished map, add its boundaries, and say how many there are."""
+    from dataclasses import replace
+
     from clunk.analysis.boundaries import with_boundaries
+    from clunk.results.maps import Results
 
     began = time.perf_counter()
 
     def addition(result: AnyMap) -> AnyMap:  # the map is kept also where nothing can be printed
-        _report(result, job, as_json)
+        _report(replace(result, boundaries=None) if isinstance(result, Results) else result, job, as_json)
         return with_boundaries(study, result, lash=lash, workers=workers, progress=True)
 
     traced = job.finish(result, addition)

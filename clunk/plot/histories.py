@@ -276,9 +276,10 @@ def small_gap(title: str, response: SmallGap) -> Figure:
 
     With no gap to cross, the lash stays closed and its torque F changes sign instead. With the lowest mode alone it
     swings within F_end ± ΔF exp(-ζ1 ω1 t); one side of this crosses zero at the characteristic time t_c, and
-    n_c = t_c ω1 / 2π = ln(σr) / (2π ζ1) periods fit in (report Eq. 3.1, where 2π is missing), with σr = ΔF / F_end.
+    n_c = t_c ω1 / 2π = ln|σr| / (2π ζ1) periods fit in (report Eq. 3.1, where 2π is missing), with σr = ΔF / F_end.
     """
-    values = f"{symbol_text('σr')} = {response.ratio:.4g}, {symbol_text('ζ1')} = {response.damping_ratio:.3f}"
+    ratio = f"{response.ratio:.4g}".replace("-", "−")
+    values = f"{symbol_text('σr')} = {ratio}, {symbol_text('ζ1')} = {response.damping_ratio:.3f}"
     figure = style.new_figure((_WIDTH, 4.8))
     ax = figure.add_subplot()
     time, zero = response.time, response.step_time + response.characteristic_time
@@ -289,8 +290,8 @@ def small_gap(title: str, response: SmallGap) -> Figure:
     ax.axhline(0.0, color=INK, linewidth=1.0, zorder=2)
     ax.axhline(response.end, color=FAINT_INK, linewidth=0.9, linestyle=(0, (1.0, 2.0)), label="equilibrium")
     crossing = "the exponential decay never crosses zero"
-    if response.periods > 0.0 and np.isfinite(response.periods):
-        formula = f"{symbol_text('nc')} = ln({symbol_text('σr')}) / (2π {symbol_text('ζ1')})"
+    if np.isfinite(response.periods):
+        formula = f"{symbol_text('nc')} = ln|{symbol_text('σr')}| / (2π {symbol_text('ζ1')})"
         crossing = (
             f"{formula} = {response.periods:.2f} periods of {1.0 / response.frequency:.3g} s until it crosses zero"
         )
@@ -298,6 +299,6 @@ def small_gap(title: str, response: SmallGap) -> Figure:
         ax.plot(zero, 0.0, "o", color=LINE_COLOURS[1], markeredgecolor=INK, zorder=6, gid="tc", label=label)
     ax.set(xlabel="Time [s]", ylabel="Torque across the lash [N m]", xlim=time[[0, -1]])
     style.tidy(ax)
-    line = f"limit of vanishing backlash, the lash always closed; {values}: {crossing}"
+    line = f"ideal step to the last torque, limit of vanishing backlash, the lash always closed; {values}: {crossing}"
     style.lay_out(figure, ax, title, line, ax.get_legend_handles_labels()[0], parse_math=True)
     return figure

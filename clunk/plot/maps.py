@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 from matplotlib import colors, ticker
@@ -49,7 +49,7 @@ from clunk.plot.style import (
     symbol_text,
     tidy,
 )
-from clunk.results.labels import FAILED
+from clunk.results.labels import FAILED, label_order
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.results.quantities import WHOLE, YES_NO, quantity_of
 from clunk.study.arrays import Floats
@@ -156,7 +156,9 @@ def map_figure(
         _mark_thresholds(axes[0], first, thresholds)
     for ax in axes:
         notes += ax.get_legend_handles_labels()[0]
-    add_notes(figure, [*{str(note.get_label()): note for note in notes}.values()])
+    regions, by_text = {*chain(*(each.names for each in panels))}, {str(note.get_label()): note for note in notes}
+    ordered = sorted(by_text, key=lambda text: label_order(text) if text in regions else (math.inf, ""))
+    add_notes(figure, [by_text[text] for text in ordered])
     return figure
 
 

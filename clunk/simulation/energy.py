@@ -1,6 +1,6 @@
 """The energy balance of a run: the work of the load is stored, damped, or lost where the flanks meet and part.
 
-    stored before + work of the load = stored after + damped + lost at impacts + dropped by the contact - regained
+    stored before + work of the load = stored after + damped + lost at impacts + left at separations - regained
 
 Every term is computed by itself and none is the difference of the others, so that the residual tests the run: how far
 the state recorded at each event is from where the exact flow takes the one recorded before it. Within a stretch of a
@@ -39,7 +39,7 @@ class EnergyBalance(Record, repr=False):
     damped_in_contact: float = told("damped in contact", "J")
     rubbed_in_shafts: tuple[float, ...] = told()
     lost_at_impacts: float = told("lost at impacts", "J")
-    dropped: float = told("dropped at partings", "J")
+    dropped: float = told("left at separations", "J")
     regained: float = told("regained at rejoins", "J")
 
     @property

@@ -30,7 +30,7 @@ _MOST_SAMPLES = 500_000  # 4000 periods of the fastest mode
 
 
 class SmallGap(NamedTuple):
-    """The torque across a lash without a gap, on the plot's time axis, signed like q = lash · θ."""
+    """The torque across a lash without a gap after an ideal step, on the plot's time axis, signed like q = lash · θ."""
 
     time: Floats  # s
     torque: Floats  # N m
@@ -53,13 +53,13 @@ class SmallGap(NamedTuple):
 
     @property
     def characteristic_time(self) -> float:
-        """t_c after the load step, where σr exp(-ζ1 ω1 t) = 1  [s]."""
-        return np.log(self.ratio) / self.decay if self.ratio > 0.0 else np.nan
+        """t_c after the load step, where |σr| exp(-ζ1 ω1 t) = 1  [s]."""
+        return self.periods / self.frequency
 
     @classmethod
     def of(cls, study: Study) -> "SmallGap":
-        """The response of a study's driveline to its load. Raises ClunkError where there is none:
-        without steady motion or oscillation, or with a load that does not reach the lash."""
+        """The response of a study's driveline to a step from T0 to its load's last torque. Raises ClunkError where
+        there is none: without steady motion or oscillation, or with a load that does not reach the lash."""
         driveline, system = Driveline.from_study(study), build(study)
         if len(study.lashes) > 1 or driveline.staged or driveline.frictions:
             raise ClunkError(
@@ -96,9 +96,9 @@ class SmallGap(NamedTuple):
 def periods_in_envelope(ratio: float, damping_ratio: float) -> float:
     """n_c, how many periods the envelope of the lowest mode stays above the static torque.
 
-    n_c = ln(σr) / (2π ζ1) (report Eq. 3.1, where 2π is missing); not a number where the envelope never crosses zero.
+    n_c = ln|σr| / (2π ζ1) (report Eq. 3.1, where 2π is missing); not a number where the envelope never crosses zero.
     """
-    return np.log(ratio) / (2.0 * np.pi * damping_ratio) if ratio > 0.0 else np.nan
+    return np.log(abs(ratio)) / (2.0 * np.pi * damping_ratio) if abs(ratio) > 1.0 else np.nan
 
 
 def one_mode_thresholds(study: Study) -> Floats:

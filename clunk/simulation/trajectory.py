@@ -18,7 +18,7 @@ from clunk.simulation.load import cases_of
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
 from clunk.study.records import Rows, as_text
-from clunk.study.study import Study
+from clunk.study.study import Study, takes_study
 
 _LAST = 1000  # events of a run that has too many: what repeats is among them
 
@@ -167,6 +167,7 @@ class Trajectory:
         return as_text(f"clunk.Trajectory of {self.study.title!r}", [*self.summary(), ended])
 
 
+@takes_study
 def simulate(study: Study) -> Trajectory:
     """Run one load step.
 

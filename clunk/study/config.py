@@ -259,6 +259,8 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
     """
     findings = []
     profile = str(value_at(document, ("load", "profile")) or "step")
+    if profile == "tip-out":
+        profile = document["load"]["profile"] = "step"
     names, optimize = names_of(document), value_at(document, ("optimize",))
     inertias = names["driveline.inertias"]
     for table, key in ((optimize, "minimize"), *((entry, "parameter") for _, entry in varied_tables(document))):

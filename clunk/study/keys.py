@@ -227,7 +227,8 @@ def _unknown_key(place: Place, likely: Place | None) -> str:
     if likely[:-1] == place[:-1]:
         return f"unknown key; did you mean {shorten(likely[-1])}?"
     table = dotted(tuple(step for step in likely[:-1] if step != ITEM))
-    return f"unknown key; did you mean {shorten(likely[-1])} in {f'[[{table}]]' if ITEM in likely else f'[{table}]'}?"
+    where = (f"in [[{table}]]" if ITEM in likely else f"in [{table}]") if table else "above the first table"
+    return f"unknown key; did you mean {shorten(likely[-1])} {where}?"
 
 
 def wrong_value(place: Place, value: Any, *, is_missing: bool = False) -> str:

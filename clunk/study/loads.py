@@ -45,8 +45,9 @@ _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency
 _NEEDED |= {"durations": "s", "levels": "shares of the change"}
 _MOST_LEVELS = 1000
 _COLUMNS = "time (s) and torque (N m), separated by commas, semicolons or tabs"
-_MEANT = ("time in s", "s"), ("torque in N m", "nm")  # and its unit, without what is no letter
-_UNIT = re.compile(r"[\[(]([^\])]{1,5})[\])]\s*$")  # of a heading: short, and behind it
+# and its units, without what is no letter
+_MEANT = ("time in s", ("s", "sec", "seconds")), ("torque in N m", ("nm",))
+_UNIT = re.compile(r"(\[[^\]]{1,15}\]|\([^)]{1,5}\))\s*$")  # of a heading: short, and behind it
 _NUMBER = re.compile(r"[-+]?(\.?\d|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 
@@ -190,9 +191,9 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
                     found = shorten(delimiter.join(row))
                     raise ConfigError(f"{lines[-1]}: found {found}; must be finite numbers, {_COLUMNS}.")
                 continue
-            for cell, (meant, unit) in zip(row if len(row) > 1 else (), _MEANT, strict=False):
+            for cell, (meant, units) in zip(row if len(row) > 1 else (), _MEANT, strict=False):
                 headed = _UNIT.search(cell)
-                if headed and re.sub(r"\W", "", headed[1]).lower() != unit:
+                if headed and re.sub(r"\W", "", headed[1]).lower() not in units:
                     text = f"{path}, line {reader.line_num}: a column headed {shorten(cell)} is taken for {meant}"
                     warnings.warn(text, ClunkWarning, stacklevel=2)
     except csv.Error as error:

@@ -85,7 +85,8 @@ class Record:
         ]
 
     def __repr__(self) -> str:
-        return as_text(f"clunk.{type(self).__name__} {getattr(self, 'title', '')!r}", self.rows())
+        title = getattr(self, "title", "")
+        return as_text(f"clunk.{type(self).__name__} {title!r}".removesuffix(" ''"), self.rows())
 
 
 Row = Record | Mapping[str, Any] | tuple[str, Record | Mapping[str, Any]]
@@ -163,7 +164,7 @@ def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterato
     if indent > _MOST_BESIDE * width and indent + widest > width:
         for row in shown:
             named = [(each.heading, words(value, each)) for each, value in _entries(row) if not _is_empty(value)]
-            yield fill(", ".join(f"{heading} {text}".lstrip() for heading, text in named), "  ", "    ", width)
+            yield fill(", ".join(f"{heading}: {text}".lstrip(": ") for heading, text in named), "  ", "    ", width)
     else:
         if indent + widest > width:
             columns.append(columns.pop(widths.index(widest)))

@@ -3,12 +3,14 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import tomli_w
 
 from clunk.study.document import Document, dotted, items_of, with_value
-from clunk.study.errors import Problem, report
+from clunk.study.errors import ClunkError, Problem, report
 from clunk.study.keys import validated
 from clunk.study.models import NOT_OF_A_RUN, Config
 from clunk.study.parameters import located, with_values
@@ -49,6 +51,23 @@ class Study(Config):
     __str__ = __repr__
 
 
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def takes_study(function: Function) -> Function:
+    """Decorate a function whose first argument is a study: anything else raises a ClunkError."""
+
+    @wraps(function)
+    def checked(study: Study, *rest: Any, **options: Any) -> Any:
+        if not isinstance(study, Study):
+            found = type(study).__name__
+            raise ClunkError(f"{function.__name__} takes a study, not a {found}; clunk.load_study(path) reads one.")
+        return function(study, *rest, **options)
+
+    return cast(Function, checked)
+
+
+@takes_study
 def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     """The study with other values, each in its parameter's unit; its sweep and fit are left alone.
 

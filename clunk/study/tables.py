@@ -129,7 +129,7 @@ def position_of(value: Any, count: int, names: Sequence[str | None], noun: str) 
         return names.index(value)
     likely = nearest(value, known)
     hint = f"did you mean {shorten(likely)}? It" if likely else "it"
-    numbers = [f"a number from 1 to {count}"] if count else []
+    numbers = [f"a number from 1 to {count}" if count > 1 else "1"] if count else []
     choices = listing([*numbers, *map(shorten, known)], "or")
     raise ValueError(f"there is no {noun} {shorten(value)}; {hint} must be {choices}")
 
