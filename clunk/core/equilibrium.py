@@ -44,9 +44,9 @@ def steady_motion(
     """
     (*batch, n, driven), count = torques.shape, lashes.shape[-2]
     scale, of_momentum = _largest(stiffness), _largest(momentum)
-    ties = np.concatenate([scale * lashes, scale / of_momentum * np.swapaxes(momentum, -1, -2)], axis=-2)
+    ties = np.concatenate([scale * lashes, scale / of_momentum * momentum.mT], axis=-2)
     matrix = np.zeros((*batch, n + ties.shape[-2], n + ties.shape[-2]))
-    matrix[..., :n, :n], matrix[..., n:, :n], matrix[..., :n, n:] = stiffness, ties, np.swapaxes(ties, -1, -2)
+    matrix[..., :n, :n], matrix[..., n:, :n], matrix[..., :n, n:] = stiffness, ties, ties.mT
     of_lashes = np.arange(n, n + count)
     matrix[..., of_lashes, of_lashes] = -(scale[..., 0] ** 2) * compliance
     right = np.zeros((*batch, matrix.shape[-1], driven))

@@ -40,7 +40,7 @@ def locked(matrix: FloatArray, inertia: FloatArray, ties: FloatArray) -> FloatAr
     matrix, basis = matrix.copy(), ties[..., :n, :left]
     weighed = inertia[..., None] * basis
     together = np.sum(weighed * basis, axis=-2)[..., None]
-    matrix[..., n : 2 * n, :] = basis @ (weighed.swapaxes(-1, -2) @ matrix[..., n : 2 * n, :] / together)
+    matrix[..., n : 2 * n, :] = basis @ (weighed.mT @ matrix[..., n : 2 * n, :] / together)
     return matrix
 
 

@@ -250,7 +250,7 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     forcing[..., held] += rates[:, :unforced, :unforced] @ chain.shift
     origin = back[:, None] @ _particular(scaled, into @ forcing)
     origin[:, 0][..., held] += chain.shift
-    tables.origin[..., :unforced] = origin.swapaxes(-1, -2)
+    tables.origin[..., :unforced] = origin.mT
     tables.origin_output[:] = times(seen[:, None], origin)
     tables.origin_output[:, 0] += feedthrough
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
@@ -278,8 +278,8 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
 
     states, size = tables.coordinates.shape[-2:]
     place = halves(np.arange(size)).swapaxes(1, 2).reshape(-1)[slots]  # where the coordinates lie
-    tables.coordinates[..., place] = into.swapaxes(-1, -2)
-    tables.basis[:, place, :states] = back.swapaxes(-1, -2)
+    tables.coordinates[..., place] = into.mT
+    tables.basis[:, place, :states] = back.mT
     tables.generator[:, place[:, None], place] = shortest[:, None, None] * block
     for table, of_group in zip(filled, made, strict=True):
         table[:, flows] = of_group.reshape(-1, flows.size, *table.shape[2:])
@@ -296,13 +296,13 @@ def halves(rows: Any) -> Any:
 def _scale(chain: Chain) -> _Scaled:
     count, m = chain.inertia.shape
     root = np.sqrt(chain.inertia)[..., None]
-    squared, rotated = _undamped_modes(chain.stiffness / (root * root.swapaxes(-1, -2)), root * chain.rigid)
+    squared, rotated = _undamped_modes(chain.stiffness / (root * root.mT), root * chain.rigid)
     shapes = rotated / root
     free = _are_free(shapes, chain.stiffness)
     if free.sum() > 1:  # among the free shapes those apart that are not damped either
-        damped = shapes[..., free].swapaxes(-1, -2) @ chain.damping @ shapes[..., free]
+        damped = shapes[..., free].mT @ chain.damping @ shapes[..., free]
         shapes[..., free] = shapes[..., free] @ np.linalg.eigh(damped)[1]
-    across = shapes.swapaxes(-1, -2)
+    across = shapes.mT
     stiffness, damping = across @ chain.stiffness @ shapes, across @ chain.damping @ shapes
     stiffness[:, free], stiffness[..., free] = 0.0, 0.0
     softest = squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True)
@@ -338,7 +338,7 @@ def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArra
     if not motions:
         return np.linalg.eigh(stiffness)
     others = np.linalg.qr(rigid, mode="complete")[0][..., motions:]
-    squared, rotated = np.linalg.eigh(others.swapaxes(-1, -2) @ stiffness @ others)
+    squared, rotated = np.linalg.eigh(others.mT @ stiffness @ others)
     known = rigid / np.linalg.norm(rigid, axis=-2, keepdims=True)
     zeros = np.zeros((len(rigid), motions))
     return np.concatenate([zeros, squared], axis=-1), np.concatenate([known, others @ rotated], axis=-1)
@@ -377,7 +377,7 @@ def _with_wave(
     """
     count, size = drive.shape
     rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # of w1 + i w2
-    swings = np.sqrt(np.maximum(-block * block.swapaxes(-1, -2), 0.0)).sum(axis=-1)
+    swings = np.sqrt(np.maximum(-block * block.mT, 0.0)).sum(axis=-1)
     away = np.abs(block.diagonal(0, -2, -1) - 1j * swings - rate).min(axis=-1, initial=np.inf)
     modal = modal and not alike(away <= _RESONANCE * np.abs(rate[:, 0]), 0)
     (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))

@@ -84,12 +84,9 @@ def _propagators(system: System, step: float) -> tuple[FloatArray, FloatArray]:
     transfer, by_inputs = np.zeros((flows, 3, columns, width)), np.zeros((flows, driven, 3, width))
     seen = slice(columns, columns + rows.shape[1])
     for k, (across, across_input) in enumerate([(identity, 0.0 * inputs), (power, power_input), stride]):
-        transfer[:, k, :size, :size], transfer[:, k, :size, seen] = (
-            across.swapaxes(-1, -2),
-            (rows @ across).swapaxes(-1, -2),
-        )
-        by_inputs[:, :, k, :size] = across_input.swapaxes(-1, -2)
-        by_inputs[:, :, k, seen] = (rows @ across_input + rows_input).swapaxes(-1, -2)
+        transfer[:, k, :size, :size], transfer[:, k, :size, seen] = across.mT, (rows @ across).mT
+        by_inputs[:, :, k, :size] = across_input.mT
+        by_inputs[:, :, k, seen] = (rows @ across_input + rows_input).mT
     return transfer, by_inputs.reshape(flows, driven, -1)
 
 
