@@ -54,11 +54,11 @@ def steady_motion(
     solution = np.linalg.solve(matrix, right)
     solution += np.linalg.solve(matrix, right - matrix @ solution)  # what rounding left
     across = scale * solution[..., of_lashes, :]
-    across[np.abs(across) <= _ROUNDING * np.where(gaps.any(axis=0), scale, 1.0)] = 0.0
+    across[abs(across) <= _ROUNDING * np.where(gaps.any(axis=0), scale, 1.0)] = 0.0
     return solution[..., :n, :], across
 
 
 def _largest(matrices: FloatArray) -> FloatArray:
     """(…, 1, 1) the largest entry of each matrix; 1 where all are zero."""
-    largest = np.abs(matrices).max(axis=(-2, -1), initial=0.0, keepdims=True)
+    largest = abs(matrices).max(axis=(-2, -1), initial=0.0, keepdims=True)
     return np.where(largest > 0.0, largest, 1.0)

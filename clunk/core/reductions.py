@@ -73,11 +73,11 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
     for k in np.flatnonzero(closed):
         lash = lashes[..., k, None, :]
         row = (lash @ basis)[..., 0, :]
-        row[np.abs(row) <= _FITS * np.abs(lash).max(axis=-1)] = 0.0
+        row[abs(row) <= _FITS * abs(lash).max(axis=-1)] = 0.0
         ends = np.flatnonzero(alike(row != 0.0))
         if not ends.size:
             continue
-        plain = ends[alike(np.abs(row[..., ends]) == 1.0)]
+        plain = ends[alike(abs(row[..., ends]) == 1.0)]
         pivot = plain[-1] if plain.size else ends[-1]
         offset = (-lash @ shift[..., :n, :])[..., 0, :]
         offset[..., k] += 1.0
@@ -94,5 +94,5 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
 def product(one: FloatArray, other: FloatArray) -> FloatArray:
     """A product that is zero to the last bit where only rounding is left."""
     result = one @ other
-    result[np.abs(result) <= _ROUNDING * (np.abs(one) @ np.abs(other))] = 0.0
+    result[abs(result) <= _ROUNDING * (abs(one) @ abs(other))] = 0.0
     return result

@@ -130,7 +130,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     ]
     wave = states - chains[0].shift.shape[-2]
     fastest = [np.linalg.norm(each.scaled.generator, axis=(-2, -1)).reshape(many[0], -1).max(axis=1) for each in groups]
-    fastest += [np.abs(system.rates[:, 0, -wave:, -wave:]).max(axis=(-2, -1))] * (wave > 0)
+    fastest += [abs(system.rates[:, 0, -wave:, -wave:]).max(axis=(-2, -1))] * (wave > 0)
     is_fast = alike(np.max(fastest, axis=0) * system.end_time[:, 0] > _FAST, 0)
     spans = MORE_SPANS if is_fast else SPANS
     size = whole(max([states, *(wave + _ends(each.modes.slots) for each in groups if each.modes is not None)]))
@@ -327,7 +327,7 @@ def _are_free(shapes: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
 
     Or there are none but for the rounding of the shapes, whose square is tiny.
     """
-    terms = np.sum(np.abs(shapes) * (np.abs(matrix) @ np.abs(shapes)), axis=-2)
+    terms = np.sum(abs(shapes) * (abs(matrix) @ abs(shapes)), axis=-2)
     bound = np.maximum(terms, _ROUNDING * terms.max(axis=-1, initial=0.0, keepdims=True))
     return alike(np.sum(shapes * (matrix @ shapes), axis=-2) <= _ROUNDING * bound)
 
@@ -378,8 +378,8 @@ def _with_wave(
     count, size = drive.shape
     rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # of w1 + i w2
     swings = np.sqrt(np.maximum(-block * block.mT, 0.0)).sum(axis=-1)
-    away = np.abs(block.diagonal(0, -2, -1) - 1j * swings - rate).min(axis=-1, initial=np.inf)
-    modal = modal and not alike(away <= _RESONANCE * np.abs(rate[:, 0]), 0)
+    away = abs(block.diagonal(0, -2, -1) - 1j * swings - rate).min(axis=-1, initial=np.inf)
+    modal = modal and not alike(away <= _RESONANCE * abs(rate[:, 0]), 0)
     (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))
     pushed[..., 0] = drive
     if modal:
@@ -421,12 +421,12 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         of_all[:, stays], of_all[:, moved] = right, kept.take(moved, axis=-2) @ right / found[:, None]
         for n in np.flatnonzero(drift[modes]):  # a rate of rolling is tiny, and LAPACK's rounding that of the largest
             known = np.flatnonzero(np.isfinite(own[:, n]))
-            same = np.abs(found[known] - own[known, n, None]).argmin(axis=-1)
+            same = abs(found[known] - own[known, n, None]).argmin(axis=-1)
             found[known, same], of_all[known, :, same] = own[known, n], own_vectors[known, :, n]
         eigenvalues[others], vectors[others] = found, of_all
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     omega = eigenvalues.imag
-    order = np.lexsort((-np.abs(eigenvalues), omega == 0.0, omega < 0.0))  # the conjugates are last
+    order = np.lexsort((-abs(eigenvalues), omega == 0.0, omega < 0.0))  # the conjugates are last
     eigenvalues = np.take_along_axis(eigenvalues, order, axis=-1)
     vectors = np.take_along_axis(vectors, order[:, None], axis=-1)
     sigma, omega = np.minimum(eigenvalues.real, 0.0), eigenvalues.imag  # a chain is passive: growth is rounding

@@ -111,7 +111,7 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     turning = -cross.prod(axis=-2, keepdims=True)  # ω², or 0
     partial_steps = step * (own + 1j * np.sqrt(turning + 0j)) * np.arange(1, 9).reshape(-1, 1, 1, 1, 1) / 8
     strides = flows.modal * (rk4_growth(partial_steps, 1.0) <= 1 + 1e-12).all(axis=(0, 2, 3, 4))
-    curvature = np.abs(1 + partial_steps * (1 + partial_steps / 2)).max(axis=0) + np.abs(partial_steps[-1]) ** 3 / 12
+    curvature = abs(1 + partial_steps * (1 + partial_steps / 2)).max(axis=0) + abs(partial_steps[-1]) ** 3 / 12
     squared = own**2 + turning
     slowest = np.where(squared > 0.0, squared, np.inf).min(axis=-2)
     bending = np.hypot(*np.split(flows.watch[..., CURVATURE:THIRD], 2, axis=-1))  # (K, F, B, 4)
