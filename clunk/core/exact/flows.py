@@ -129,7 +129,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
         for group in _groups(chains, np.flatnonzero([chain.rigid.shape == shape for chain in chains]))
     ]
     wave = states - chains[0].shift.shape[-2]
-    fastest = [np.linalg.norm(each.scaled.generator, axis=(-2, -1)).reshape(many[0], -1).max(axis=1) for each in groups]
+    fastest = [np.linalg.matrix_norm(each.scaled.generator).reshape(many[0], -1).max(axis=1) for each in groups]
     fastest += [abs(system.rates[:, 0, -wave:, -wave:]).max(axis=(-2, -1))] * (wave > 0)
     is_fast = alike(np.max(fastest, axis=0) * system.end_time[:, 0] > _FAST, 0)
     spans = MORE_SPANS if is_fast else SPANS
@@ -259,7 +259,7 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     modal, block, slots = modes is not None, scaled.generator, np.arange(into.shape[1])
     if modes is not None:
         into, back, block, slots = modes.inverse @ into, back @ modes.basis, modes.block, modes.slots
-    unseen = alike(~np.any(block, axis=-2) & ~np.any(times(seen, back), axis=-2))
+    unseen = alike(~block.any(axis=-2) & ~times(seen, back).any(axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
     if rates.shape[-1] > unforced:
@@ -307,7 +307,7 @@ def _scale(chain: Chain) -> _Scaled:
     stiffness[:, free], stiffness[..., free] = 0.0, 0.0
     softest = squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True)
     softest[np.isinf(softest)] = 1.0
-    is_slow = alike(damping.diagonal(0, -2, -1) <= _TOO_SLOW * softest**0.5)
+    is_slow = alike(np.linalg.diagonal(damping) <= _TOO_SLOW * softest**0.5)
     undamped = free & (is_slow | _are_free(shapes, chain.damping))
     damping[:, undamped], damping[..., undamped] = 0.0, 0.0
     squared = np.where(free, softest, squared)
@@ -378,7 +378,7 @@ def _with_wave(
     count, size = drive.shape
     rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # of w1 + i w2
     swings = np.sqrt(np.maximum(-block * block.mT, 0.0)).sum(axis=-1)
-    away = abs(block.diagonal(0, -2, -1) - 1j * swings - rate).min(axis=-1, initial=np.inf)
+    away = abs(np.linalg.diagonal(block) - 1j * swings - rate).min(axis=-1, initial=np.inf)
     modal = modal and not alike(away <= _RESONANCE * abs(rate[:, 0]), 0)
     (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))
     pushed[..., 0] = drive
@@ -387,7 +387,7 @@ def _with_wave(
         along[..., 0], along[..., 1] = shares.real, -shares.imag
         pushed[:] = 0.0
     else:
-        length, fastest = np.linalg.norm(drive, axis=-1), np.linalg.norm(block, axis=(-2, -1))
+        length, fastest = np.linalg.norm(drive, axis=-1), np.linalg.matrix_norm(block)
         scale[:, 0, 0] = np.where(length > 0.0, length / np.maximum(fastest, _TINY), 1.0)
     unit, none = np.eye(2), np.zeros((count, 2, size))
     back = np.block([[back, back @ along], [none, unit / scale]])
@@ -404,7 +404,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     count, size, _ = generator.shape
     stays, moved = np.flatnonzero(~drift), np.flatnonzero(drift)
     half = size // 2
-    frequency = generator[:, :half, half:].diagonal(0, -2, -1)
+    frequency = np.linalg.diagonal(generator[:, :half, half:])
     damping, stiffness = -generator[:, half:, half:], -generator[:, half:, :half] * frequency[:, None]
     modes, eigenvalues = _first_guesses(stiffness, damping, np.flatnonzero(~drift[half:]))
     shapes = np.empty((count, half, modes.size), complex)
@@ -471,7 +471,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         return None
     sizes = np.linalg.norm(basis, axis=-2)  # of columns, with which nothing is lost
     parts = basis / sizes[:, None], inverse * sizes[..., None]
-    condition = math.prod(np.linalg.norm(part, axis=(-2, -1)) for part in parts)
+    condition = math.prod(map(np.linalg.matrix_norm, parts))
     if not alike(condition <= _MAX_CONDITION, 0):
         return None
     return _Modes(basis, inverse @ (2.0 * np.eye(size) - basis @ inverse), block, slots)
@@ -484,7 +484,7 @@ def _moved_far(damped: IntArray, decaying: FloatArray) -> IntArray:
         lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
         units = columns / np.where(lengths > 0.0, lengths, 1.0)
         most = alike(np.sort(np.argsort(-np.linalg.norm(units, axis=-1), axis=-1, kind="stable")[:, :slow]))
-        apart = np.linalg.svd(units[:, most], compute_uv=False)[:, -1] > _APART
+        apart = np.linalg.svdvals(units[:, most])[:, -1] > _APART
         if alike(apart & (lengths.min(axis=(-2, -1)) > 1.0 / _FASTER), 0):
             return damped[most]
     return damped[:0]
@@ -562,7 +562,7 @@ def _first_guesses(stiffness: FloatArray, damping: FloatArray, modes: IntArray) 
 
     Those of which any is overdamped come twice, where they swing with the conjugate.
     """
-    half, squared = (array.diagonal(0, -2, -1).take(modes, 1) for array in (0.5 * damping, stiffness))
+    half, squared = (np.linalg.diagonal(array).take(modes, 1) for array in (0.5 * damping, stiffness))
     over = half * half - squared
     swing = np.sqrt(over.astype(complex))
     guesses, twice = np.where(squared > 0.0, swing - half, -2.0 * half), ((over > 0.0) & (squared > 0.0)).any(axis=0)
