@@ -97,7 +97,7 @@ def as_guard(curve: Curve, origin: Origin, sign: Vector, shift: Vector) -> Curve
 @inlined_part
 def low(guard: Curve, h: Vector) -> Vector:
     """A bound, concave in h: a guard that is positive stays so within a time h for which this is."""
-    bent = fused(guard.third_bound * -A_SIXTH, h, 0.5 * vectors.smaller(guard.curvature, vectors.splat(0.0)))
+    bent = fused(guard.third_bound * -A_SIXTH, h, 0.5 * vectors.smaller(guard.curvature, 0.0))
     return fused(fused(bent, h, guard.slope), h, guard.value)
 
 
@@ -117,7 +117,7 @@ def falls_by(guard: Curve) -> Vector:
     NaN or -inf where that is so far that rounding hides it. By what bounds its third derivative, it falls for a time at
     least. Nearly all of that is looked at, so that rounding does not matter.
     """
-    fall, bend = vectors.larger(-guard.slope, vectors.splat(0.0)), guard.curvature
+    fall, bend = vectors.larger(-guard.slope, 0.0), guard.curvature
     h = 1.8 * fall / (bend + vectors.root(fused(bend, bend, 2.0 * guard.third_bound * fall)))
     return h * (fall - h * fused(guard.third_bound * A_SIXTH, h, 0.5 * bend))
 

@@ -108,12 +108,11 @@ def _longest_empty(known: _Known, shortest: Vector, spans: int) -> tuple[Vector,
 def _is_empty(known: _Known, h: Vector) -> int:
     """Lanes where there is nothing to be found within times h; then there is nothing within shorter ones."""
     value, slope, curvature, third, _ = known.curve
-    zero = vectors.splat(0.0)
     off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (third * curves.A_SIXTH))  # over h
     against = vectors.choose(slope > 0.0, -curvature, curvature)
     monotone = h * (against + h * (0.5 * third)) < vectors.magnitude(slope)
-    within = value - known.top + h * (vectors.larger(slope, zero) + off_tangent) <= 0.0
-    within &= known.bottom - value + h * (vectors.larger(-slope, zero) + off_tangent) <= 0.0
+    within = value - known.top + h * (vectors.larger(slope, 0.0) + off_tangent) <= 0.0
+    within &= known.bottom - value + h * (vectors.larger(-slope, 0.0) + off_tangent) <= 0.0
     return within | monotone | (h <= known.idle)
 
 
@@ -131,7 +130,7 @@ def _search_series(
         The lanes that end with the first turn, and have found it.
     """
     c, top, bottom = space.series, known.top, known.bottom
-    left = vectors.smaller(time_left / shortest, vectors.splat(1.0))
+    left = vectors.smaller(time_left / shortest, 1.0)
     done = near & known.once & ~(vectors.load(c, 1) < 0.0)
     near &= ~done
     begin, width = 0.0 * left, left

@@ -73,7 +73,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
     event, part, k, ends, lost, grazing, blocked = zero - 1.0, zero, zero, 0, 0, 0, 0
     if short:
-        left = vectors.smaller(time_left / shortest, zero + 1.0)
+        left = vectors.smaller(time_left / shortest, 1.0)
         event, part, lost, grazing = _find_event(space, regime, there, left)
         ends = (time_left <= shortest) & (part == left) & there
         h = shortest * part
@@ -115,7 +115,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     if not noted:
         return
     # how the step ended, the first that holds
-    ended = vectors.choose(close, float(rows.NEARS), zero + float(rows.GOES_ON))
+    ended = vectors.choose(close, float(rows.NEARS), float(rows.GOES_ON))
     ended = vectors.choose(happened, float(rows.BY_EVENT), vectors.choose(ends, float(rows.AT_END), ended))
     ended = vectors.choose(settled, float(rows.SETTLED), vectors.choose(lost, float(rows.LOST), ended))
     vectors.store(space.notes, 0, (ended, event, next_try))
@@ -293,8 +293,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     """
     system, series = space.system, space.series
     flow, count = system.regimes[regime].flow, system.regimes[regime].guards
-    shortest, zero = shortest_span(space, flow), vectors.splat(0.0)
-    event, lost, grazing = zero - 1.0, 0, 0
+    shortest, event, lost, grazing = shortest_span(space, flow), vectors.splat(-1.0), 0, 0
     for n in range(count):
         guard, order = system.guards[regime, n], _zero_order(space, n)
         start = load_curve(space.seen, n * OF_SEEN + _START)

@@ -109,10 +109,9 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
     s, slope, half : Vector
         The zero, the slope there, and half the curvature.
     """
-    zero = vectors.splat(0.0)
     c0, c1, c2 = vectors.load(c, 0), vectors.load(c, 1), vectors.load(c, 2)
     # of its first three terms
-    root, negative = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, zero)), c0 < 0.0
+    root, negative = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, 0.0)), c0 < 0.0
     s = vectors.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
     s, slope, half, crosses = vectors.choose(negative, 0.0, s), c1, c2, 0
     alive = ~negative & (s >= 0.0)
@@ -130,16 +129,17 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
         converged = alive & steady & (s >= 0.0) & (s <= length)
         crosses |= converged
         alive &= ~converged
-    end, rise, bend, fall = length if only else s, zero, zero, zero
+    rise = bend = fall = vectors.splat(0.0)
+    end = length if only else s
     for k in range(TERMS - 1, 1, -1):
         term = vectors.load(c, k)
-        up = vectors.larger(term, zero)
+        up = vectors.larger(term, 0.0)
         fall = fused(fall, length, term - up)
         rise = fused(rise, end, float(k) * up)
         if k > 2:
             bend = fused(bend, end, float(k * (k - 1)) * up)
     crosses &= (c1 + rise * end < 0.0) | (2.0 * c2 + bend * end < 0.0)
-    least = c0 + length * vectors.smaller(c1 + length * fall, zero)
+    least = c0 + length * vectors.smaller(c1 + length * fall, 0.0)
     return crosses | negative, least >= 0.0, s, slope, half
 
 
