@@ -213,7 +213,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
         if side in (0, now):
             continue
         is_carried = now == 0 and rubbing.is_carried(at, successor, lash)
-        torque_held, slope, scale = holding_torque(at, successor, lash)
+        torque_held, scale, slope, _ = rubbing.holding_torque(at, successor, lash)
         # where a jump parts them, q'' is not zero
         clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * scale
         if now:
@@ -291,18 +291,6 @@ def _falling_speed(at: Moment, regime: int, lash: int, share: float) -> float:
     """The speed of a rebound in a regime that is as low as a share of the terms of the gap  [rad/s]."""
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
     return np.sqrt(2.0 * abs(pull) * share * _terms_of_gap(at, lash))
-
-
-@part
-def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, float]:
-    """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it so far.
-
-    That is of those that make its rate, too: a torque that has fallen to zero is rounded as what it has fallen by.
-    """
-    force = lash * at.system.functionals_per_lash + FORCE
-    torque_held, scale = rubbing.derivative(at, regime, force, 0)
-    slope, slope_scale = rubbing.derivative(at, regime, force, 1)
-    return torque_held, slope, scale + slope_scale * at.time
 
 
 @part

@@ -239,14 +239,23 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
     system, way = at.system, at.system.contacts[before, lash].side
     if system.contacts[regime, lash].side != way:
         way = -way
-    functional = lash * system.functionals_per_lash + FORCE
-    torque, size = derivative(at, regime, functional, 0)
-    slope, slope_size = derivative(at, regime, functional, 1)
-    size += slope_size * at.time
+    torque, size, slope, slope_size = holding_torque(at, regime, lash)
     if -way * torque > at.within * size:
         return -way * torque / size
     is_zero = way * torque <= at.within * size
     return WITHIN if is_zero and way * slope < -at.within * slope_size else 0.0
+
+
+@part
+def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, float, float]:
+    """The torque that keeps q'' at zero, the size of the terms that make it so far, and both of its rate in a regime.
+
+    So far the terms of its rate make it, too: a torque that has fallen to zero is rounded as what it has fallen by.
+    """
+    force = lash * at.system.functionals_per_lash + FORCE
+    torque, size = derivative(at, regime, force, 0)
+    slope, slope_size = derivative(at, regime, force, 1)
+    return torque, size + slope_size * at.time, slope, slope_size
 
 
 @part

@@ -20,7 +20,7 @@ from clunk.core.exact import rows
 from clunk.core.exact.workspace import GRAZING, Workspace, system_of
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import lash_of, overlap_of
-from clunk.core.rigid import holding_torque
+from clunk.core.rubbing import holding_torque
 from clunk.core.runs import LEVEL, Entry, Moment, Start
 from clunk.core.sequence import is_primary
 from clunk.core.status import OK, QUALITY_GRAZING
@@ -100,7 +100,7 @@ def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
 def note_holding(space: Workspace, slot: int, at: Moment) -> None:
     """Note the torques that lock rigid flanks, and their rates of change, before another piece of the load begins."""
     for lash in range(at.system.lash_count * at.system.impulsive):
-        space.held[lash, 0], space.held[lash, 1], _ = holding_torque(at, space.runs[slot].regime, lash)
+        space.held[lash, 0], _, space.held[lash, 1], _ = holding_torque(at, space.runs[slot].regime, lash)
 
 
 @inlined_part
@@ -113,7 +113,7 @@ def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
     for lash in range(system.lash_count * system.impulsive):
         side, own = system.contacts[regime, lash].side, space.of_lashes[slot, lash]
         before, slope = side * space.held[lash, 0], side * space.held[lash, 1]
-        after, slope_after, _ = holding_torque(at, regime, lash)
+        after, _, slope_after, _ = holding_torque(at, regime, lash)
         jump, rounding = side * after - before, GRAZING * own[rows.SCALE]
         falls = slope < 0.0 or jump < -rounding
         rises = side * slope_after > 0.0 or jump > rounding
