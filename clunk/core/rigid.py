@@ -97,7 +97,7 @@ def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds:
     """
     system, events = at.system, log.events
     for other in range(system.lash_count):
-        twist, _ = rubbing.twist_of(system, system.lashes[other], at.x)
+        twist, _ = rubbing.gap_coordinate(at, other)
         its_speed = speed_of(system, other, at.x)
         gap = at.inputs[gap_input(other)]
         moved = _APART * _terms_of_gap(at, other)  # by `_part_by`, this lash or the one that touches
@@ -201,14 +201,14 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     resting = near = 0  # on each other, closed or not; and those so near that to part others could close them
     for lash in lashes:
         rests = system.contacts[before, lash].closed != 0 or rubbing.rest(at, lash)
-        gap = at.inputs[gap_input(lash)] - abs(rubbing.twist_of(system, system.lashes[lash], x)[0])
+        gap = at.inputs[gap_input(lash)] - abs(rubbing.gap_coordinate(at, lash)[0])
         resting |= rests << lash
         near |= (rests or gap <= 2.0 * _APART * _terms_of_gap(at, lash)) << lash
     for lash in lashes:
         side, now = system.contacts[before, lash].side, system.contacts[successor, lash].side
         others = near & ~(1 << lash)
         if side == 0 and resting & others & ~held and resting >> lash & 1:  # or to release these would move it
-            twist, _ = rubbing.twist_of(system, system.lashes[lash], x)
+            twist, _ = rubbing.gap_coordinate(at, lash)
             _part_by(_APART, at, others, lash, 1 if twist > 0.0 else -1)
         if side in (0, now):
             continue
@@ -255,7 +255,7 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
             while last > 0 and events[last].lash != lash:
                 last -= 1
             if events[last].kind != SEPARATION:
-                twist, _ = rubbing.twist_of(system, system.lashes[lash], at.x)
+                twist, _ = rubbing.gap_coordinate(at, lash)
                 regime += (CLOSED_POSITIVE if twist > 0.0 else CLOSED_NEGATIVE) * system.regime_strides[lash]
     return regime
 
@@ -269,7 +269,7 @@ def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
 @inlined_part
 def _terms_of_gap(at: Moment, lash: int) -> float:
     """Size of the terms of a lash's gap, by which it is rounded, now and as the motion goes on  [rad]."""
-    _, size = rubbing.twist_of(at.system, at.system.lashes[lash], at.x)
+    _, size = rubbing.gap_coordinate(at, lash)
     return at.inputs[gap_input(lash)] + size + _SWING
 
 

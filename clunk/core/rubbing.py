@@ -324,6 +324,12 @@ def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float,
 
 
 @part
+def gap_coordinate(at: Moment, lash: int) -> tuple[float, float]:
+    """q of a lash, and the sum of its terms' magnitudes  [rad]."""
+    return twist_of(at.system, at.system.lashes[lash], at.x)
+
+
+@part
 def _is_held(system: System, regime: int, functional: int) -> bool:
     """Whether what a functional tells stays zero in a regime, held by others, so that it is none."""
     flow = system.regimes[regime].flow
@@ -341,6 +347,6 @@ def is_carried(at: Moment, regime: int, lash: int) -> bool:
 @part
 def rest(at: Moment, lash: int) -> bool:
     """Whether the rigid flanks of a lash rest on each other, but for rounding."""
-    half_gap, (twist, size) = at.inputs[gap_input(lash)], twist_of(at.system, at.system.lashes[lash], at.x)
+    half_gap, (twist, size) = at.inputs[gap_input(lash)], gap_coordinate(at, lash)
     rate, most = _rate(at.system, at.system.lashes[lash], 0.0, at.x)
     return half_gap - abs(twist) <= WITHIN * (half_gap + size) and abs(rate) <= WITHIN * most
