@@ -370,8 +370,13 @@ def build_system(
     motion[..., :states, :states], motion[..., :states, states:] = rates, inputs
     motion[..., states + TORQUE, states + TORQUE_RATE] = 1.0
     rows = np.concatenate([functionals, feedthrough], axis=-1)[..., : None if frictions or impulsive else 0, :]
-    for k, friction in enumerate(frictions):  # also of a rate that others hold
-        rows[..., first_rate + OF_FRICTION * k + RATE, speeds] = friction.twist[..., None, :]
+    tables = build_tables(lashes, staged, frictions, batch)
+    for k, friction in enumerate(frictions):
+        rate = first_rate + OF_FRICTION * k + RATE
+        rows[..., rate, speeds] = friction.twist[..., None, :]  # also where others hold it
+        # a rate that stays zero ends nothing
+        is_held = ~alike(functionals[..., tables["regimes"]["flow"], rate, :].any(axis=-1))[:, None]
+        tables["offsets"][..., is_held & (tables["guards"]["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
     outputs = np.stack([_derivatives(rows, motion), _derivatives(abs(rows), abs(motion))], axis=-2)
 
     motions = rigid.shape.shape[-1]
@@ -395,11 +400,6 @@ def build_system(
     # by the angles, and where nothing drags by the speeds, too
     drift = np.asarray(np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling), np.float64)
     joints = by_speeds(np.broadcast_to(tied, (*batch, *tied.shape[-2:])))
-    tables = build_tables(lashes, staged, frictions, batch)
-    for k in range(len(frictions)):  # a rate that stays zero ends nothing
-        rate = first_rate + OF_FRICTION * k + RATE
-        is_held = ~alike(functionals[..., tables["regimes"]["flow"], rate, :].any(axis=-1))[:, None]
-        tables["offsets"][..., is_held & (tables["guards"]["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
 
     return System(
         rates=rates,
