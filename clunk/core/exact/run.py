@@ -77,7 +77,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     if (system.friction_count > 0 or system.impulsive) and (jumps or not chooses(system, row.regime, row.guard)):
         row.count = entry.written
         entry = recheck(Moment(system, time, x, inputs, WITHIN, OF_MODES), log_of(space, slot), entry, jumps)
-        _take_events(space, slot, row.count, entry.written)
+        _take_events(space, slot, entry.written)
     regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
     row.rolled += turn_back(system, x)  # rigid flanks may have been moved
@@ -186,7 +186,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
         entry = switch(at, log, row.regime, row.guard, row.count)
         row.stages += entry.written == row.count  # one that is not written, which takes no room for events
         note_impacts(space, slot, at, entry)
-        _take_events(space, slot, row.count, entry.written)
+        _take_events(space, slot, entry.written)
     else:
         numbers = space.fields[slot]
         order = int(numbers[rows.ZERO_ORDER])
@@ -224,10 +224,10 @@ def _close_phase(space: Workspace, slot: int, k: int) -> None:
 
 
 @inlined_part
-def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
-    """Close the phases before events that were written, from the first on, and open the windows of primary impacts."""
+def _take_events(space: Workspace, slot: int, written: int) -> None:
+    """Close the phases before events that were written behind the run's, and open the windows of primary impacts."""
     row, log = space.runs[slot], log_of(space, slot)
-    roll_states(system_of(space, slot), row.rolled, log, first, written)
-    for k in range(first, written):
+    roll_states(system_of(space, slot), row.rolled, log, row.count, written)
+    for k in range(row.count, written):
         _close_phase(space, slot, k - 1)
         _open_windows(space, slot, k)
