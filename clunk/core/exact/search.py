@@ -73,16 +73,13 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
         item = space.pool.items[lane]
         slot, number = item // space.searches_each, item % space.searches_each
         run = space.runs[slot]
-        highest, lowest = (
-            space.pool.work[space.behind + rows.TOP, lane],
-            space.pool.work[space.behind + rows.BOTTOM, lane],
-        )
+        found = space.pool.work[space.behind :, lane]
         if number < lashes:
             own = space.of_lashes[slot, number]
-            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = highest, lowest
+            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = found[rows.TOP], found[rows.BOTTOM]
         else:
             deep = number == space.searches_each - 1
-            take_margin_of_guard(space, slot, run.guard if deep else number - lashes, lowest, deep)
+            take_margin_of_guard(space, slot, run.guard if deep else number - lashes, found[rows.BOTTOM], deep)
         run.searches -= 1
         if not run.searches:
             push(space.pool, space.queues.follow, slot)
