@@ -51,8 +51,7 @@ def evaluate(space: Workspace, flow: int, f: int) -> tuple[curves.Curve, Vector]
     """`curves.evaluate` of the runs taken."""
     work, amplitudes, size = space.pool.work, space.amplitudes, space.behind
     if space.mixed:
-        gathered = OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
-        return curves.evaluate(gathered, work, amplitudes, size)
+        return curves.evaluate(OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :]), work, amplitudes, size)
     return curves.evaluate(space.flows.watch[0, flow, f], work, amplitudes, size)
 
 
@@ -62,8 +61,9 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector)
 
     inputs_at : where the regime's inputs lie in the rows that were taken
     """
-    output, driven, rests = space.flows.origin_output, space.system.input_count, space.flows.steady[0, flow] != 0
-    first, order, still = f * driven, output.shape[3] * driven, rests and not space.system.ramps
+    output, driven = space.flows.origin_output, space.system.input_count
+    first, order = f * driven, output.shape[3] * driven
+    still = space.flows.steady[0, flow] != 0 and not space.system.ramps
     if space.mixed:
         return weighed_origin(space, OfLanes(space.lane_output_origins), first, 1, order, inputs_at, still, elapsed)
     return weighed_origin(space, output[0, flow], first, 1, order, inputs_at, still, elapsed)
