@@ -42,14 +42,15 @@ def steady_motion(
     angles : (n, m) float64
     across : (L, m) float64
     """
-    (*batch, n, driven), count = torques.shape, lashes.shape[-2]
-    scale, of_momentum = _largest(stiffness), _largest(momentum)
-    ties = np.concatenate([scale * lashes, scale / of_momentum * momentum.mT], axis=-2)
-    matrix = np.zeros((*batch, n + ties.shape[-2], n + ties.shape[-2]))
+    *batch, n, driven = torques.shape
+    scale = _largest(stiffness)
+    ties = np.concatenate([scale * lashes, scale / _largest(momentum) * momentum.mT], axis=-2)
+    size = n + ties.shape[-2]
+    matrix = np.zeros((*batch, size, size))
     matrix[..., :n, :n], matrix[..., n:, :n], matrix[..., :n, n:] = stiffness, ties, ties.mT
-    of_lashes = np.arange(n, n + count)
+    of_lashes = np.arange(n, n + lashes.shape[-2])
     matrix[..., of_lashes, of_lashes] = -(scale[..., 0] ** 2) * compliance
-    right = np.zeros((*batch, matrix.shape[-1], driven))
+    right = np.zeros((*batch, size, driven))
     right[..., :n, :], right[..., of_lashes, :] = torques, scale * gaps
     solution = np.linalg.solve(matrix, right)
     solution += np.linalg.solve(matrix, right - matrix @ solution)  # what rounding left
