@@ -82,7 +82,7 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
         offset = (-lash @ shift[..., :n, :])[..., 0, :]
         offset[..., k] += 1.0
         shift[..., :n, :] += basis[..., pivot, None] * (offset / row[..., pivot, None])[..., None, :]
-        one = np.broadcast_to(np.eye(row.shape[-1]), (*batch, row.shape[-1], row.shape[-1])).copy()
+        one = np.tile(np.eye(row.shape[-1]), (*batch, 1, 1))
         one[..., pivot, :] = -row / row[..., pivot, None]
         basis = basis @ np.delete(one, pivot, axis=-1)
         pick = np.delete(pick, pivot, axis=0)

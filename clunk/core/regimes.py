@@ -382,10 +382,9 @@ def build_system(
     motions = rigid.shape.shape[-1]
     steady = np.zeros((*batch, len(loose), states, driven))
     carried = np.zeros((*batch, len(loose), count, driven))
-    gaps = np.zeros((count, driven))
+    gaps = np.eye(driven)[[half_gap_of(k) for k in range(count)]]
     drag = (chains[every[0]][0] @ rigid.speeds[..., None])[..., 0]
     torques[..., TORQUE] -= drag + inertia * rigid.accelerations
-    gaps[range(count), [half_gap_of(k) for k in range(count)]] = 1.0
     compliance = 0.0 if impulsive else 1.0 / lashes.stiffness
     momentum = inertia[..., None] * rigid.shape
     for k, is_loose in enumerate(loose if motions <= 1 else ()):

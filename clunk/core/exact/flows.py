@@ -50,8 +50,8 @@ LONG = 2 * ROW  # room for the TERMS of a Taylor series, in whole ROWs
 # curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin and its sixth
 # derivative
 VALUE, SLOPE, CURVATURE = range(0, 3 * ROW, ROW)
-THIRD, SWAY, SIXTH = range(3 * ROW, 3 * ROW + 3 * PAIRS, PAIRS)
 WATCHED = 3 * ROW + 3 * PAIRS
+THIRD, SWAY, SIXTH = range(3 * ROW, WATCHED, PAIRS)
 _BOUNDED = (3, 0, 6)  # the orders that THIRD and what follows it bound, less than TERMS
 SELF, CROSS = range(2)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
@@ -284,8 +284,9 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     for table, of_group in zip(filled, made, strict=True):
         table[:, flows] = of_group.reshape(-1, flows.size, *table.shape[2:])
     firsts = times(functionals, back)
-    places = slice(None), flows[:, None, None], np.arange(firsts.shape[1])[:, None], place, 0
-    every.series[places] = firsts.reshape(len(every.series), flows.size, *firsts.shape[1:])
+    every.series[:, flows[:, None, None], np.arange(firsts.shape[1])[:, None], place, 0] = firsts.reshape(
+        len(every.series), flows.size, *firsts.shape[1:]
+    )
 
 
 def halves(rows: Any) -> Any:
@@ -430,7 +431,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     eigenvalues = np.take_along_axis(eigenvalues, order, axis=-1)
     vectors = np.take_along_axis(vectors, order[:, None], axis=-1)
     sigma, omega = np.minimum(eigenvalues.real, 0.0), eigenvalues.imag  # a chain is passive: growth is rounding
-    rings, decays = alike(np.stack([(omega > 0.0).sum(axis=-1), (omega == 0.0).sum(axis=-1)], axis=-1)).tolist()
+    rings, decays = alike(np.stack([omega > 0.0, omega == 0.0], axis=-2).sum(axis=-1)).tolist()
     ringing, decaying = vectors[..., :rings], vectors[..., rings : rings + decays].real
     turning, rates = omega[:, :rings], sigma[:, rings : rings + decays]
 
@@ -539,7 +540,7 @@ def _expand(generator: FloatArray, modal: IntArray, span: FloatArray, series: Fl
             squares = 0.0
             for c in range(size):
                 total, pair = terms[c, n], c - c % ROW + c % PAIRS
-                rows = range(0, size) if not modal[at[:2]] else range(pair, pair + PAIRS + 1, PAIRS)
+                rows = range(size) if not modal[at[:2]] else range(pair, pair + PAIRS + 1, PAIRS)
                 for r in rows if n > 0 else range(0):
                     total += terms[r, n - 1] * rates[r, c]
                 total /= max(n, 1)

@@ -80,9 +80,10 @@ def _propagators(system: System, step: float) -> tuple[FloatArray, FloatArray]:
         np.stack(arrays, axis=2).reshape(flows, -1, arrays[0].shape[-1]) for arrays in zip(*shown, strict=True)
     )
     columns = whole(size)
-    width = whole(columns + rows.shape[1])
+    end = columns + rows.shape[1]
+    width = whole(end)
     transfer, by_inputs = np.zeros((flows, 3, columns, width)), np.zeros((flows, driven, 3, width))
-    seen = slice(columns, columns + rows.shape[1])
+    seen = slice(columns, end)
     for k, (across, across_input) in enumerate([(identity, 0.0 * inputs), (power, power_input), stride]):
         transfer[:, k, :size, :size], transfer[:, k, :size, seen] = across.mT, (rows @ across).mT
         by_inputs[:, :, k, :size] = across_input.mT
