@@ -43,8 +43,9 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     held = closed = held_with(system, regime, lash)
     if abs(speed) > slowest:
         held = _held_through(system, regime, lash, side, at.inputs)
+    parted = closed & ~held
     for other in range(system.lash_count):
-        if (closed & ~held) >> other & 1:
+        if parted >> other & 1:
             _place(system, held, lash, x, 0, side * at.inputs[gap_input(lash)])  # or it would move the others later
             _part_by(ROUNDING, at, held, other, system.contacts[before, other].side)
             regime = opened(system, regime, other)
@@ -78,7 +79,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
         record(at, log, count, touch.speed, TOUCH, regime, touch.lash, touch.side)
         count += 1
     for other in range(system.lash_count):
-        if (closed & ~held) >> other & 1:
+        if parted >> other & 1:
             record(at, log, count, 0.0, SEPARATION, regime, other, system.contacts[before, other].side)
             count += 1
     if rebounds:
@@ -192,8 +193,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
     lashes, held = range(system.lash_count * system.impulsive), held_with(system, successor, -1)
     for lash in lashes:
-        is_closed = system.contacts[successor, lash].closed != 0
-        if touched >> lash & 1 and (is_closed or rubbing.is_carried(at, successor, lash)):
+        if touched >> lash & 1 and (held >> lash & 1 or rubbing.is_carried(at, successor, lash)):
             record(at, log, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
             count += 1
     # separations of flanks at rest: of those closed before, and open now, or closed on the other side, without a gap,

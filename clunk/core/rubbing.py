@@ -122,7 +122,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     if ended >= 0:  # functionals of frictions are the last
         event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
     for lash in range(system.lash_count * system.impulsive):
-        locked |= (system.contacts[resting_on, lash].closed != 0) << lash
+        locked |= system.contacts[resting_on, lash].closed << lash
     fits = ended < 0 and not system.excess[system.regimes[regime].flow]
     if fits and _misfits(at, regime, resting_on, locked, sticking) <= at.within:
         return regime, -1, 0

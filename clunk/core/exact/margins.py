@@ -92,8 +92,7 @@ def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
             course = space.courses[slot, lash]
             speed = system.restitution[lash] * abs(event.speed) / course.fastest
             torque = abs(holding_torque(at, entry.regime, lash)[0]) / course.static
-            locks = system.contacts[entry.regime, lash].closed != 0
-            course.margin = -torque if locks else max(speed, torque)
+            course.margin = -torque if system.contacts[entry.regime, lash].closed else max(speed, torque)
 
 
 @inlined_part
