@@ -106,16 +106,16 @@ def _measure_runs(
     stop: StopFlag,
 ) -> None:
     system, channels, room = refer(system), refer(channels), refer(room)
-    cases, output, first = refer(cases), refer(output), room.first
+    cases, output, first, lashes = refer(cases), refer(output), room.first, system.lash_count
     for k in range(output.cells.shape[0]):
-        first[0] = first[room.row.size]
-        for lash in range(room.row.size):
+        first[0] = first[lashes]
+        for lash in range(lashes):
             first[lash + 1] = first[lash] + output.cells[k, lash].primary_impacts
         if output.cells[k, 0].status != OK or stop[0]:
             continue
         driveline = cases.drivelines[k % cases.drivelines.size]
         system = reference_at(room.systems, driveline, system)
-        size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, -1, system.lash_count
+        size, piece = system.rates.shape[1], -1
         x, load = room.z[:size], cases.loads[k % cases.loads.shape[0]]
         shortest = INSTANT if system.element_count > 1 else 0.0
         events, written = output.logs[k], 0
@@ -128,7 +128,7 @@ def _measure_runs(
             room.row[lash] = first[lash] - 1
         for e in range(written):
             event = events[e]
-            copy(output.states[k, e, :n], x)
+            copy(output.states[k, e, : 2 * system.inertias], x)
             if channels.of_impacts and event.lash >= 0:
                 _add_event(system, channels, driveline, events[:written], output.states[k], e, room)
             time, end = event.time, system.end_time[0]

@@ -70,8 +70,7 @@ def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> N
         functionals.gather(space, flows.generator, flow, size * size, space.lane_table)
         move_together(space.lane_table, part, space.pool.work, size, space.moved)
         return
-    spans = table.shape[2] - 1
-    vectors.store(space.notes, 0, vectors.splat(float(spans)) if short else k)
+    vectors.store(space.notes, 0, vectors.splat(float(table.shape[2] - 1)) if short else k)
     for lane in range(WIDTH):
         first = (space.drivelines[lane] * table.shape[1] + flow) * table.shape[2]
         places[lane] = (first + int(space.notes[0, lane])) * 2 * size

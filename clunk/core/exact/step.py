@@ -101,8 +101,8 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     arrived = ends & kinks & ~lost
     if happened | arrived:
         moving.to_states(space, flow, happened | arrived)
-    changing = rows.of_lash(system.lash_count - 1) + rows.MARGIN
-    put_back(pool, pool.work, space.numbers, space.behind + changing, advancing)
+    changing = space.behind + rows.of_lash(system.lash_count - 1) + rows.MARGIN
+    put_back(pool, pool.work, space.numbers, changing, advancing)
     if happened:
         searching |= _find_depths(space, regime, event, happened)
 
@@ -291,10 +291,9 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     lost, grazing : int
         The lanes where nothing is finite any more, and where a guard all but turned negative.
     """
-    system, series = space.system, space.series
-    flow, count = system.regimes[regime].flow, system.regimes[regime].guards
+    system, flow = space.system, space.system.regimes[regime].flow
     shortest, event, lost, grazing = shortest_span(space, flow), vectors.splat(-1.0), 0, 0
-    for n in range(count):
+    for n in range(system.regimes[regime].guards):
         guard, order = system.guards[regime, n], _zero_order(space, n)
         start = load_curve(space.seen, n * OF_SEEN + _START)
         near = there & (~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (order >= 2.0))
@@ -305,7 +304,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         origin = _origin(space, flow, guard.functional)
         noise = ROUNDING * functionals.expand(space, flow, guard.functional, sign, shift, origin)
         if system.element_count > 1:  # another element's event at the same time may have been located first
-            instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
+            instant = vectors.magnitude(vectors.load(space.series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
             noise = vectors.larger(noise, instant)
         of_slope = 4.0 * noise + ROUNDING * vectors.magnitude(shortest * origin.slope)

@@ -123,13 +123,13 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
         space.pool.length[:] = 0  # runs that were stopped wait there
         return space._replace(loads=loads)
     system, size, most = driveline_at(systems, 0), flows.basis.shape[3], systems.guards.shape[1]
-    drivelines, count = flows.watch.shape[:2]
+    drivelines, count, functionals = flows.watch.shape[:3]
     mixed = int(drivelines > 1)
     shortest = aligned(count)
     shortest[:] = flows.span[0, :, :1]
     # in order: span, short, enter, each by group; search by flow and functional; over; follow
     groups = system.leaders.size
-    over = 3 * groups + count * flows.watch.shape[2]
+    over = 3 * groups + count * functionals
     lashes, driven = system.lash_count, system.input_count
     inputs_at = size + rows.shift(most, lashes)
     of_a_run, searches = inputs_at + driven, lashes + most + 1

@@ -67,7 +67,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     piece, rolled = begin_run(system, start, inputs, log)
     begin_windows(log, 0)
     grid = _grid_of(system, steps, load, piece)
-    index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
+    index, offset, stages = 0, 0.0, 0  # the time is begin + index · step + offset
     guard, is_chosen = -1, False  # what ended the phase before, and chose the states of all that rests
     while True:
         time = begin + index * steps.step + offset
@@ -230,7 +230,7 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
         Of each lash's acceleration, updated, but where touches are impulsive.
     """
     row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
-    columns, lashes, taken = steps.transfer.shape[2], system.lash_count * (1 - system.impulsive), 0
+    columns, taken = steps.transfer.shape[2], 0
     next_stride = 0 if steps.strides[row.flow] else budget  # not before so many steps
     while taken < budget:
         is_stride = next_stride <= taken <= budget - STRIDE
@@ -245,7 +245,7 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
             table = STRIDES if is_stride else STEP
             _advance(steps.transfer[row.flow, table], room.affine[table], z, after)
             clear = _guards_exceed(room, row.guards, columns, after)
-        for lash in range(lashes if clear else 0):
+        for lash in range(system.lash_count * (1 - system.impulsive) if clear else 0):
             functional = lash * system.functionals_per_lash + ACCELERATION
             at, own = columns + 4 * functional, extremes[lash]
             if max(z[at], after[at]) + sag[functional] > own[0] or min(z[at], after[at]) - sag[functional] < own[1]:
@@ -255,7 +255,7 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
                     high, low = quartic.extremes((z[at], after[at] - z[at] - c2 - c3 - c4, c2, c3, c4), 1.0)
                     own[0], own[1] = max(own[0], after[at], high), min(own[1], after[at], low)
         if clear:
-            copy(room.after, room.z)
+            copy(after, z)
             taken += STRIDE if is_stride else 1
         elif is_stride:
             next_stride = taken + _BEFORE_NEXT_STRIDE
