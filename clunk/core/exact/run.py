@@ -142,7 +142,7 @@ def _follow(space: Workspace, slot: int) -> None:
     """Send a run on: end its phase, queue its next step, or end it."""
     row, system = space.runs[slot], system_of(space, slot)
     now = row.time + space.fields[slot, rows.ELAPSED]
-    if row.ended == rows.BY_EVENT or row.ended == rows.AT_END:
+    if row.ended in (rows.BY_EVENT, rows.AT_END):
         end = end_of_piece(system, space.loads[row.load], row.piece)
         if end - now < INSTANT and end < system.end_time[0]:
             row.ended = rows.AT_END  # what follows tells whether an event happens
@@ -150,7 +150,7 @@ def _follow(space: Workspace, slot: int) -> None:
             now = end
     if row.ended == rows.BY_EVENT or (row.ended == rows.AT_END and now < system.end_time[0]):
         _end_phase(space, slot, now)
-    elif row.ended == rows.GOES_ON or row.ended == rows.NEARS:
+    elif row.ended in (rows.GOES_ON, rows.NEARS):
         queue = space.queues.short if row.ended == rows.NEARS else space.queues.span
         push(space.pool, queue + system.regimes[row.regime].group, slot)
     else:
