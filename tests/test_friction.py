@@ -177,6 +177,31 @@ def test_what_creeps_to_rest_comes_to_rest():
     assert balance(run).relative_residual < 1e-9
 
 
+CREEPING = """
+driveline.inertias = [0.0887, 0.007244, 0.4422]
+driveline.shafts = [
+    { between = [2, 1], ratio = 0.5882352941176471, stiffness = 47.78, damping = 0.4136, friction = 0.01289 },
+    { between = [3, "ground"], stiffness = 23.29, damping = 6.418 },
+    { between = [2, 3], ratio = -0.5882352941176471, stiffness = 0.0, damping = 0.0, friction = 0.002106 },
+]
+lash.between = [3, 1]
+lash.ratio = -1.0
+lash.backlash_deg = 0.6887
+lash.radius = 0.07196
+lash.contact = { model = "restitution", restitution = 0.5687 }
+load = { on = 2, profile = "lag", initial_torque = -0.2036, final_torque = 0.1387025, time_constant = 0.3141 }
+solver.end_time = 11.35
+"""
+
+
+@pytest.mark.parametrize("step", [4.875e-4, 6e-5, 1.5e-5])
+def test_what_slips_no_faster_than_rounding_sticks(step):
+    """By rk4: the torque comes to rest at 1e-13 of its change each second, and two frictions on one twist with it."""
+    run = simulate(study_from_text(CREEPING, overrides=['solver.method="rk4"', f"solver.step={step}"]))
+    assert run.label == "CR(1)"
+    assert len(changes(run)[0]) < 100  # some 50; else 2,000 and more
+
+
 @pytest.mark.parametrize("stiffness", [5e6, 1e7])
 def test_beside_a_stiff_shaft_that_sticks_a_free_part_stays_free(stiffness):
     """In the open gap nothing holds inertias 1 to 3: the rounding of a spring that is held must not do so either."""

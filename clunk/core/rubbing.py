@@ -285,8 +285,8 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
         return beyond / size
     if not is_at_limit:
         return 0.0
-    onwards, _ = derivative(at, regime, functional, order)
-    return at.within if way * onwards < 0.0 else 0.0
+    onwards, size = derivative(at, regime, functional, order)
+    return at.within if way * onwards < -at.within * size else 0.0
 
 
 @part
