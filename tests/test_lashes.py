@@ -122,8 +122,13 @@ def test_every_lash_presses_its_own_flank_before_the_load_step():
     assert torques[0, 0] == pytest.approx(1.0, rel=1e-9)  # in series
     assert 0.0 < torques[1, 0] < 1.0
     slack = replace(parallel, other_lashes=(GEARBOX, replaced(AXLE, backlash=1.0)))
-    with pytest.raises(ClunkError, match="No initial flank"):
+    with pytest.raises(ClunkError, match="No initial flank: a lash carries no torque"):
         simulate(study_of(slack))
+    idle = replace(
+        CHAIN, inertias=(*CHAIN.inertias, 0.01), other_lashes=(GEARBOX, AXLE, Lash((4, 5), 0.02, 2600.0, 0.6))
+    )
+    with pytest.raises(ClunkError, match=r"No initial flank: lash \d carries no torque"):
+        simulate(study_of(idle))
 
 
 @pytest.mark.parametrize("method", ["exact", "rk4"])

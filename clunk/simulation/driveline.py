@@ -22,7 +22,7 @@ from clunk.simulation.load import WAVES, run_load, wave_rates
 from clunk.simulation.phases import preload
 from clunk.study.arrays import Bools
 from clunk.study.document import Place
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, listing
 from clunk.study.models import Lash, Shaft
 from clunk.study.records import Record, told
 from clunk.study.study import Study
@@ -220,6 +220,11 @@ def prepare(study: Study, driveline: Driveline) -> tuple[System, Flows]:
 
 def explained(study: Study, status: Status) -> str:
     """Phrase on why runs of a study have a status, which names the part of the driveline that is to blame."""
+    if status == Status.NO_INITIAL_FLANK and len(study.lashes) > 1:
+        before, _ = run_load(study)
+        carried = build(study).contact_torque[0, :, : before.size] @ before
+        idle = [name for name, torque in zip(study.lash_names, carried, strict=True) if torque == 0.0]
+        return status.sentence.replace("the lash", listing(idle, "or") or "a lash")
     if status != Status.NO_EQUILIBRIUM:
         return status.sentence
     driveline = Driveline.from_study(study)

@@ -56,6 +56,7 @@ _BOUNDED = (3, 0, 6)  # the orders that THIRD and what follows it bound, less th
 SELF, CROSS = range(2)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _CONVERGED = 1e-14  # the last step to an eigenvalue, of its size
+_NEAR = 1e-7  # of their size: eigenvalues that two guesses have led to, which may be one
 _MOST_STEPS = 10  # to it
 _MAX_CONDITION = 4e4  # of unit eigenvectors in energy coordinates, by Frobenius norms: beyond it, four digits are lost
 _TINY = 1e-300  # instead of zero, as a divisor
@@ -624,7 +625,7 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
             # 0 is a displacement's own, whatever damps its velocity
             sound &= (rate.imag * swing > _ROUNDING * abs(rate * swing)) == (swing != 0.0) and rate != 0.0
             for other in rates[driveline, :n]:
-                sound &= abs(rate - other) > _ROUNDING * abs(rate)
+                sound &= abs(rate - other) > _NEAR * abs(rate)
             rates[driveline, n] = rate if sound else np.nan
 
 
