@@ -101,11 +101,11 @@ def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats
     size = 2 * system.inertias
     if system.rates.shape[1] == size:
         return x
+    from scipy.linalg import expm  # see `_series`
+
     wave = np.array([piece[WAVE], piece[WAVE_PARTNER] + piece[SLOPE]])
     if begin > piece[BEGIN]:
-        rates = system.rates[0, size:, size:]
-        travel, _ = next(integrals(rates, np.array([begin - piece[BEGIN]])))
-        wave += travel @ rates @ wave
+        wave = expm(system.rates[0, size:, size:] * (begin - piece[BEGIN])) @ wave
     return np.concatenate([x[:size], wave])
 
 
