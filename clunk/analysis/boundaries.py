@@ -129,7 +129,7 @@ def boundaries(
         crossings = [[node for node in path.nodes if node >= 0] for path in paths]
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
         events = events_between(point_runs.runner, engine, position, values_at(below), values_at(above))
-        events[np.abs(above - below).max(axis=1) > CHORD] = UNKNOWN  # many are between the two
+        events[abs(above - below).max(axis=1) > CHORD] = UNKNOWN  # many are between the two
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings = [ring for region in regions for ring in region]
     cells = np.column_stack([*map(np.searchsorted, (across, upward), lines.unresolved.T)])
@@ -216,7 +216,7 @@ def _differences(records: Records, logs: Records, end_time: float, lash: int) ->
     order = np.argsort(np.isnan(times), axis=2, kind="stable")
     logs, times = np.take_along_axis(logs, order, 2), np.take_along_axis(times, order, 2)
     is_event = ~np.isnan(times)
-    differ = np.abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
+    differ = abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
     for name in ("kind", "side"):
         differ |= logs[name][:, 0] != logs[name][:, 1]
     differ |= ~is_event.all(axis=1)  # behind the last event of one

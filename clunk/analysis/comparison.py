@@ -248,8 +248,8 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
     for axis_a, axis_b in zip(a, b, strict=True):
         steps = np.diff(np.unique(axis_a.values))
         smallest = steps.min() if steps.size else abs(axis_a.values[0])
-        tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * np.abs(axis_a.values))
-        apart = np.abs(axis_a.values - axis_b.values) > tolerance
+        tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * abs(axis_a.values))
+        apart = abs(axis_a.values - axis_b.values) > tolerance
         if apart.any():
             k = np.argmax(apart)
             raise ClunkError(
@@ -268,10 +268,10 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
             values.append(each.values(name).ravel()[compared])
         # the cell of each value; with equal labels both maps have as many values in it
         cells = np.repeat(np.arange(equal.size), counts)[compared]
-        difference = np.abs(np.subtract(*values))
+        difference = abs(np.subtract(*values))
         if np.isnan(difference).all():
             continue
-        k, largest = int(np.nanargmax(difference)), float(np.nanmax(np.abs(b.values(name))))
+        k, largest = int(np.nanargmax(difference)), float(np.nanmax(abs(b.values(name))))
         yield Difference(
             quantity=name,
             difference=float(difference[k]),

@@ -201,7 +201,7 @@ class Crossings:
             for k in range(1, _POINTS):  # Neville's scheme
                 less, right, left = along, off[:, k:], off[:, :-k]
                 along = (right * less[:, :-1] - left * less[:, 1:]) / (right - left)
-            expected = np.column_stack([along[:, 0], _OFF * np.abs(along[:, 0] - less[:, 0])])
+            expected = np.column_stack([along[:, 0], _OFF * abs(along[:, 0] - less[:, 0])])
         shares[rows] = np.where(np.isfinite(expected), expected, np.nan)
         return shares
 
@@ -407,7 +407,7 @@ class Lines:
         several, two = two[~is_located], two[is_located]
         tip, begin, end = positions[several.T]
         far, length = end - begin, _length(end - begin)
-        is_flat = (length > CHORD) & (np.abs(cross(begin - tip, far)) < _FLAT * length**2)
+        is_flat = (length > CHORD) & (abs(cross(begin - tip, far)) < _FLAT * length**2)
         two = np.concatenate([two[self._is_off_chord(two)], several[is_flat]])
         sides = np.stack([three, _following(three)], axis=2)
         lengths = _length(np.diff(positions[sides], axis=2)[:, :, 0])
@@ -441,17 +441,17 @@ class Lines:
         positions = self.triangles.positions[corners]
         ends = self.position(keys_of(corners[:, :1], corners[:, 1:]).ravel()).reshape(-1, 2, 2)
         chord, sides = ends[:, 1] - ends[:, 0], _following(positions) - positions
-        height = np.abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
+        height = abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
         is_off = (_length(chord) > CHORD) & (height > CHORD)
         asked = np.flatnonzero(is_off)
         if not asked.size or not self._may_run():
             return is_off
         tip, chord = positions[asked, 0], chord[asked]
         way = 2.0 * (ends[asked].mean(axis=1) - tip)
-        apart = CHORD * _length(chord) / np.abs(cross(chord, way))
+        apart = CHORD * _length(chord) / abs(cross(chord, way))
         lines = Crossings(self.brackets, self.runs["outcome"])
         expected, error = lines.continued(tip, way, self.triangles.outcome[corners[asked, :2]], ends[asked]).T
-        is_near = np.abs(expected - 0.5) + error < 0.5 * apart
+        is_near = abs(expected - 0.5) + error < 0.5 * apart
         is_off[asked[is_near]] = False
         asked, tip, way, apart = (each[~is_near] for each in (asked, tip, way, apart))
         shares = np.clip(0.5 + apart[:, None] * [-1.0, 1.0], 0.0, 1.0)

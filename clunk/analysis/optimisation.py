@@ -199,7 +199,7 @@ class Problem:
         values = self._run_allowed(points)
         if not 0.0 < self.size < math.inf:  # the config as it is fails, or tells no size
             found = self.outcomes(points, values).value
-            self.size = np.median(np.abs(np.nan_to_num(found, posinf=1.0))) or 1.0
+            self.size = np.median(abs(np.nan_to_num(found, posinf=1.0))) or 1.0
         return points, values
 
     def __call__(self, candidates: Floats) -> Outcomes:
@@ -251,7 +251,7 @@ class Problem:
         share = holds.mean(axis=1)
         graded = (1.0 - 1.0 / (1.0 + lacks)).mean(axis=1)
         excess = np.where(holds.sum(axis=1) < self._needed, 1.0 - share + graded, 0.0)
-        margin = np.abs(margin).min(axis=1)
+        margin = abs(margin).min(axis=1)
         return Outcomes(quantities[self.minimized], excess, share, margin, quantities)
 
     def _are_allowed(self, candidates: Floats) -> Bools:
@@ -271,7 +271,7 @@ class Problem:
             beyond = results.approach_velocity
             base, bound = condition.base, condition.bound
             if base is not None and base.type != YES_NO and isinstance(bound, float):
-                beyond = np.abs(base.compared(results) - bound) / (abs(bound) or 1.0)
+                beyond = abs(base.compared(results) - bound) / (abs(bound) or 1.0)
             is_met = condition.of_runs(results) == 1.0  # NaN where a run failed
             found.append(np.where(is_met, 0.0, 0.1 + beyond))
         return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))
@@ -290,7 +290,7 @@ class Problem:
     def merit(self, outcomes: Outcomes) -> Floats:
         """Merit that the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""
         value = np.minimum(outcomes.value / self.size, 1e300)
-        return np.where(outcomes.excess > 0.0, 1.0 + outcomes.excess, value / (1.0 + np.abs(value)) - 1e-9)
+        return np.where(outcomes.excess > 0.0, 1.0 + outcomes.excess, value / (1.0 + abs(value)) - 1e-9)
 
     def _columns(self, candidates: Floats) -> dict[str, Floats]:
         """Values of all keys in the runs of candidates, for each its cells, and in each cell its draws."""

@@ -109,10 +109,10 @@ def _may_hide(points: Points) -> Bools:
     """Whether thresholds may be hidden between each point and the next, of one cell and of the same outcome."""
     left, right = points[:-1], points[1:]
     alike = (left["cell"] == right["cell"]) & (left["outcome"] == right["outcome"]) & (left["outcome"] != FAILED_CODE)
-    hidden = np.abs(right["touches"] - left["touches"]) >= _TOUCHES
-    width, least = right["value"] - left["value"], np.abs(points["measure"])
+    hidden = abs(right["touches"] - left["touches"]) >= _TOUCHES
+    width, least = right["value"] - left["value"], abs(points["measure"])
     with np.errstate(invalid="ignore"):  # where a bracket begins at a known point
-        slope = np.abs(np.diff(least)) / width
+        slope = abs(np.diff(least)) / width
     # whatever the signs: across a sliver a margin may pass from what did not happen to what did
     is_dip = alike[:-1] & alike[1:] & (least[1:-1] <= np.minimum(least[:-2], least[2:]))
     slope = _STEEPER * np.maximum(slope[:-1], slope[1:])

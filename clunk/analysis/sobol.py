@@ -270,7 +270,7 @@ def _indices(quantity: Quantity, runs: Results, parameters: Sequence[str], seed:
         why = WHY_UNDEFINED.get(quantity.name, "")
         raise ClunkError(f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs{why}.")
     base, shares = pages[:, :2], None
-    apart = np.abs(base - np.median(base)) > _ROUNDING * np.abs(base).max()
+    apart = abs(base - np.median(base)) > _ROUNDING * abs(base).max()
     if np.count_nonzero(apart) >= _RARE:
         first, total, of_first, of_total = first_and_total(pages, seed)
         shares = {

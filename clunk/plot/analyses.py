@@ -230,7 +230,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
         ordered = [vars(shares[parameter]) for parameter in parameters]
         for name, colour, at in (("first", _FIRST, -0.5 * _BAR), ("total", _SECOND, 0.5 * _BAR)):
             share, *interval = np.transpose([(each[name], *each[f"{name}_interval"]) for each in ordered])
-            ax.barh(places + at, share, _BAR, color=colour, xerr=np.abs(interval - share), error_kw=_INTERVAL)
+            ax.barh(places + at, share, _BAR, color=colour, xerr=abs(interval - share), error_kw=_INTERVAL)
         ax.axvline(0.0, color=INK, linewidth=0.8)
         ax.set_title(fill(style.capital(heading)), loc="left", fontsize=9.0)
         style.tidy(ax, "x")

@@ -194,7 +194,7 @@ def draw_backlash(ax: Axes, runs: Runs, looks: Looks) -> None:
             marker |= _touch_look(look["color"], primary=primary, size=size)
             ax.plot(run.time[row], coordinate[row], **marker)
         size *= 0.8  # so that of impacts in one place all can be seen
-        reach = max(reach, 1.2 * widest, 1.05 * np.abs(coordinate).max())
+        reach = max(reach, 1.2 * widest, 1.05 * abs(coordinate).max())
     ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
     ax.set_ylim(-reach, reach)
     names = {0.0: "gap"} | flanks

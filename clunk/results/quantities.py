@@ -166,7 +166,7 @@ class Quantity(NamedTuple):
         """The quantity as runs are compared by it: the size of a margin; a last event at 0 where nothing happens."""
         values = self.of_runs(results)
         if self.name == "margin":
-            return np.abs(values)
+            return abs(values)
         if self.name == "last_event_time":
             values = np.where(results.arrays["sequence"] == FAILED_CODE, np.nan, np.nan_to_num(values))
         return values

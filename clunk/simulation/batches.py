@@ -66,7 +66,7 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     # what is no spring, damper or friction where it is zero, no gear where it is 1, and whole numbers, make another
     # kind of driveline
     is_ratio, is_whole = [place[-1] == "ratio" for place in places], [key.whole for key in keys]
-    signs = np.where(is_ratio & (np.abs(values) == 1.0), 2.0, 1.0) * np.sign(values)
+    signs = np.where(is_ratio & (abs(values) == 1.0), 2.0, 1.0) * np.sign(values)
     kinds = np.where(is_whole, values, signs)
     most, count = most_prepared(study), len(values)
     waiting = np.split(np.arange(count), range(most, count, most))  # positions of each batch

@@ -129,11 +129,11 @@ class Driveline:
         rest = self.shaft_friction.copy()
         for k in range(rest.shape[-1]):
             shaft = self.shafts[..., k, :]
-            beside = alike(np.abs(units @ units[..., k, :, None])[..., 0] > 1.0 - _SIDE_BY_SIDE)
+            beside = alike(abs(units @ units[..., k, :, None])[..., 0] > 1.0 - _SIDE_BY_SIDE)
             if not (alike(rest[..., k] > 0.0, 0) and beside.any()):
                 continue
             along = (self.shafts @ shaft[..., None])[..., 0]
-            torques = np.where(beside, rest * (np.abs(along) / along[..., k, None]), 0.0)
+            torques = np.where(beside, rest * (abs(along) / along[..., k, None]), 0.0)
             total = torques.sum(axis=-1)
             frictions.append((Friction(shaft, total), torques / total[..., None]))
             rest[..., beside] = 0.0
@@ -192,7 +192,7 @@ class Driveline:
         damping, stiffness = self.matrices(closed=closed)
         rates = locked(chain(self.inertia, damping, stiffness), self.inertia, ties.expand)
         every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
-        order, springs = np.argsort(np.abs(every)), np.concatenate([stiffness, self.lashes[rigid]])
+        order, springs = np.argsort(abs(every)), np.concatenate([stiffness, self.lashes[rigid]])
         # what no spring holds does not come back, and what no damper holds either keeps its speed: found to half the
         # digits of the fastest mode, as a double zero
         held = [np.linalg.matrix_rank(rows) for rows in (springs, np.concatenate([springs, damping]))]
@@ -200,11 +200,11 @@ class Driveline:
         order = order[every[order].imag > 0.0]
         oscillating, monotone = every[order], every[every.imag == 0.0]
         shapes = (ties.expand @ vectors)[: self.inertia.size, order].T
-        energy = self.inertia * np.abs(shapes) ** 2
+        energy = self.inertia * abs(shapes) ** 2
         return Modes(
             frequency=np.abs(oscillating) / (2.0 * np.pi),
             damping_ratio=-oscillating.real / np.abs(oscillating),
-            overdamped=np.sort(np.abs(monotone.real)),
+            overdamped=np.sort(abs(monotone.real)),
             energy_shares=energy / energy.sum(axis=1, keepdims=True),
         )
 
@@ -413,7 +413,7 @@ def steps_a_period(study: Study) -> float:
     are lost. The restitution model has no such oscillation.
     """
     system = build(study)
-    fastest = np.abs(np.linalg.eigvals(system.rates).imag).max()
+    fastest = abs(np.linalg.eigvals(system.rates).imag).max()
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
 
 

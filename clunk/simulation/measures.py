@@ -104,7 +104,7 @@ def _tabulate(systems: System, channels: Floats) -> tuple[Floats, Floats, Floats
     generators = np.zeros((*flows, size + driven, size + driven))
     generators[..., :size, :size], generators[..., :size, size:] = systems.rates, systems.inputs
     generators[..., size + TORQUE, size + TORQUE_RATE] = systems.ramps
-    fastest = np.abs(np.linalg.eigvals(systems.rates)).max(axis=-1)
+    fastest = abs(np.linalg.eigvals(systems.rates)).max(axis=-1)
     lengths = _STEP / np.maximum(fastest, _STEP / systems.end_time)
     rates = generators * lengths[..., None, None]
     terms = [channels]

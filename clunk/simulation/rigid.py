@@ -98,5 +98,5 @@ def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str
 def _twists(joints: Floats, speeds: Floats) -> Floats:
     """Rates of twist of joints at these speeds, without rounding."""
     twists = (joints @ speeds[..., None])[..., 0]
-    twists[np.abs(twists) <= _FITS * (np.abs(joints) @ np.abs(speeds)[..., None])[..., 0]] = 0.0
+    twists[abs(twists) <= _FITS * (abs(joints) @ abs(speeds)[..., None])[..., 0]] = 0.0
     return twists

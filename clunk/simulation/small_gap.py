@@ -131,7 +131,7 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     start = np.linalg.solve(right, pick @ system.steady_motion[0, :size, TORQUE])
     # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
     amplitudes = (system.functionals[1, FORCE, :size] @ expand @ right) * start / carried
-    felt = np.abs(amplitudes) > 1e-12
+    felt = abs(amplitudes) > 1e-12
     return levels_of_excursions(_extremes(rates[felt], amplitudes[felt]), count)
 
 
@@ -144,7 +144,7 @@ def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
         return reduction
     along = reduction.pick @ drift
     size, columns = along.shape
-    pivots = np.abs(along).argmax(axis=0)
+    pivots = abs(along).argmax(axis=0)
     every = np.eye(size)
     relative = every - along / along[pivots, np.arange(columns)] @ every[pivots]
     pick = np.delete(relative, pivots, axis=0) @ reduction.pick
@@ -153,11 +153,11 @@ def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
 
 def _extremes(rates: ComplexArray, amplitudes: ComplexArray) -> Floats:
     """Minima and maxima of f = Re sum of amplitude · exp(rate t) in turn, a minimum first, until it is too faint."""
-    fastest = np.max(np.abs(rates.imag), initial=0.0)
+    fastest = np.max(abs(rates.imag), initial=0.0)
     if fastest == 0.0:
         return np.empty(0)
     step, slowest = 2.0 * np.pi / fastest / _SAMPLES, -rates.real.max()
-    lasting = np.log(np.abs(amplitudes).sum() / _FAINTEST) / slowest if slowest > 0.0 else np.inf
+    lasting = np.log(abs(amplitudes).sum() / _FAINTEST) / slowest if slowest > 0.0 else np.inf
     time = step * np.arange(int(min(lasting / step, _MOST_SAMPLES)) + 2)
     f = np.zeros(time.size)
     for rate, amplitude in zip(rates, amplitudes, strict=True):

@@ -298,7 +298,7 @@ def _extremes(config: Config, columns: Mapping[str, Floats]) -> list[int]:
     and of each two keys the extremes of their difference, as two times may not change places.
     """
     extremes = [*columns.values(), *(one - other for one, other in combinations(columns.values(), 2))]
-    positions = [int(at) for each in extremes for at in (each.argmin(), each.argmax(), np.abs(each).argmin())]
+    positions = [int(at) for each in extremes for at in (each.argmin(), each.argmax(), abs(each).argmin())]
     wholes = [values for parameter, values in columns.items() if located(config, parameter)[1].whole]
     return list(dict.fromkeys([*positions, *(int((values % 1.0).argmax()) for values in wholes)]))
 
