@@ -105,7 +105,7 @@ def boundaries(
     """
     require_boundaries(study)
     position, part = lash_position(lash, results.lash_names), results.of_lash(lash)
-    ascending = np.ix_(*(np.argsort(axis.values) for axis in part.axes))
+    ascending = np.ix_(*(axis.values.argsort() for axis in part.axes))
 
     def values_at(places: Floats) -> Floats:
         return np.column_stack([*map(_values, part.axes, places.T)])
@@ -181,7 +181,7 @@ def _values(axis: ResultAxis, shares: Floats) -> Floats:
     """Values of an axis at places from 0 to 1; those of the ends are the axis's own, to the bit."""
     low, high = axis.values.min(), axis.values.max()
     inner = low * (high / low) ** shares if axis.is_geometric else low + shares * (high - low)
-    return np.where(shares == 1.0, high, np.clip(inner, low, high))
+    return np.where(shares == 1.0, high, inner.clip(low, high))
 
 
 def events_between(runner: Runner, engine: Executor, lash: int, one: Floats, other: Floats) -> Codes:
@@ -213,16 +213,16 @@ def _differences(records: Records, logs: Records, end_time: float, lash: int) ->
     sides = np.where(records["status"] == Status.OK, records["initial_side"], 0)
     # neither a change of a shaft's stage nor an event of another lash makes a label
     times = np.where((logs["kind"] == STAGE) | ((logs["lash"] >= 0) & (logs["lash"] != lash)), np.nan, logs["time"])
-    order = np.argsort(np.isnan(times), axis=2, kind="stable")
+    order = np.isnan(times).argsort(axis=2, kind="stable")
     logs, times = np.take_along_axis(logs, order, 2), np.take_along_axis(times, order, 2)
     is_event = ~np.isnan(times)
     differ = abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
     for name in ("kind", "side"):
         differ |= logs[name][:, 0] != logs[name][:, 1]
     differ |= ~is_event.all(axis=1)  # behind the last event of one
-    first = np.argmax(differ, axis=1)
+    first = differ.argmax(axis=1)
     times = np.where(is_event, times, np.inf)[np.arange(len(logs)), :, first]
-    events = logs[np.arange(len(logs)), np.argmin(times, axis=1), first]
+    events = logs[np.arange(len(logs)), times.argmin(axis=1), first]
     return np.select(
         [
             (sides[:, 0] == 0) | (sides[:, 0] != sides[:, 1]),

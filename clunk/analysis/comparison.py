@@ -251,7 +251,7 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
         tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * abs(axis_a.values))
         apart = abs(axis_a.values - axis_b.values) > tolerance
         if apart.any():
-            k = np.argmax(apart)
+            k = apart.argmax()
             raise ClunkError(
                 f"The maps cannot be compared: value {k + 1} of {axis_a.parameter} is {axis_a.values[k]:.10g} in A and "
                 f"{axis_b.values[k]:.10g} in B."
@@ -264,10 +264,10 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
         values = []
         for each in (a, b):
             counts = each.primary_impacts.ravel() if REGIME_QUANTITIES[name].dimension else 1
-            compared = np.repeat(equal.ravel(), counts)
+            compared = equal.ravel().repeat(counts)
             values.append(each.values(name).ravel()[compared])
         # the cell of each value; with equal labels both maps have as many values in it
-        cells = np.repeat(np.arange(equal.size), counts)[compared]
+        cells = np.arange(equal.size).repeat(counts)[compared]
         difference = abs(np.subtract(*values))
         if np.isnan(difference).all():
             continue

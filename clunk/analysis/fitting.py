@@ -132,7 +132,7 @@ class Candidates:
         directions = np.kron(np.eye(len(self.axes)), [[-1.0], [1.0]])  # (m, axes)
         fewest, missed = np.full(point.size, np.inf), np.arange(point.size)
         for size in _CHANGES:
-            at, changes = np.repeat(missed, len(directions)), np.tile(size * directions, (missed.size, 1))
+            at, changes = missed.repeat(len(directions)), np.tile(size * directions, (missed.size, 1))
             codes, _ = self._run(runner, numbers[at], self.points[point[at]] * np.exp(changes))
             edits = self._edits(self.wanted[point[at]], codes).reshape(missed.size, -1)
             fewest[missed] = np.minimum(fewest[missed], edits.min(axis=1))
@@ -157,7 +157,7 @@ class Candidates:
         for key in self.axes:  # a change may leave its range, together with an offset
             allowed = located(self.study, key)[1]
             least = np.nextafter(allowed.lowest, np.inf) if allowed.above else allowed.lowest
-            values[key] = np.clip(values[key], least, allowed.highest)
+            values[key] = values[key].clip(least, allowed.highest)
         results = runner(runner.values(values)).of_lash(self.lash)
         self.labels += [each for each in results.labels if each not in self.labels]
         codes = np.array([*map(self.labels.index, results.labels), FAILED_CODE])  # of a failed run, -1, the last
@@ -302,7 +302,7 @@ def fit(
     matches = np.concatenate([nominal_matches, candidates.matches])  # the config is a candidate, if the priors allow it
     numbers = np.vstack([nominal, candidates.numbers(candidates.coordinates)])
     ends = candidates.numbers(np.outer([-np.inf, np.inf], [1.0] * len(priors)))
-    is_allowed = (np.clip(numbers, *ends) == numbers).all(axis=1)
+    is_allowed = (numbers.clip(*ends) == numbers).all(axis=1)
     unlikely = np.append(0.0, _unlikely(candidates.coordinates))  # the config is taken as the middle of its priors
     best = np.where(is_allowed, losses(matches, candidates.wanted, settings) + unlikely, np.inf).argmin()
     return Fitted(
@@ -332,7 +332,7 @@ def _search(candidates: Candidates) -> None:
     from scipy.stats import norm
 
     def improbability(shares: Floats) -> Floats:
-        coordinates = norm.ppf(np.clip(shares.T, 1e-12, 1.0 - 1e-12))
+        coordinates = norm.ppf(shares.T.clip(1e-12, 1.0 - 1e-12))
         return candidates(coordinates) + _unlikely(coordinates)
 
     settings, count = candidates.fit, len(candidates.priors)

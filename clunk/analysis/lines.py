@@ -128,12 +128,12 @@ class Triangles:
         labels = self.outcome[corners]
         alike = labels == _following(labels)
         two = alike.any(axis=1)
-        turns = (np.argmax(alike[two], axis=1)[:, None] + [2, 3, 4]) % 3
+        turns = (alike[two].argmax(axis=1)[:, None] + [2, 3, 4]) % 3
         return np.take_along_axis(corners[two], turns, 1), corners[~two]
 
     def add(self, keys: Codes, positions: Floats, runs: Points) -> None:
         """Add a node on each of these edges, of which none comes twice."""
-        order = np.argsort(keys)
+        order = keys.argsort()
         nodes = len(self.runs) + order
         _append(self.positions, positions)
         _append(self.runs, runs)
@@ -151,10 +151,10 @@ class Triangles:
         """
         corners = self.corners[near]
         edges = _edges(corners)
-        at = np.minimum(np.searchsorted(keys, edges), keys.size - 1)
+        at = np.minimum(keys.searchsorted(edges), keys.size - 1)
         is_cut = keys[at] == edges
         cut = np.flatnonzero(is_cut.any(axis=1))
-        turns = np.argmax(is_cut[cut], axis=1)
+        turns = is_cut[cut].argmax(axis=1)
         first, second, last = np.take_along_axis(corners[cut], (turns[:, None] + [0, 1, 2]) % 3, 1).T
         middle, begin = nodes[at[cut, turns]], len(self.corners)
         self.corners[near[cut]], self.is_new[near[cut]] = np.stack([first, middle, last], 1), True
@@ -172,7 +172,7 @@ class Crossings:
     def __init__(self, brackets: Floats, outcomes: Codes) -> None:
         from scipy.spatial import KDTree  # a third of a second: only where lines are traced
 
-        self._places = np.repeat(brackets.mean(axis=1), 2, axis=0)
+        self._places = brackets.mean(axis=1).repeat(2, axis=0)
         self._ways = np.diff(brackets[:, [0, 1, 0]], axis=1).reshape(-1, 2)
         sides = np.stack([outcomes, outcomes[:, ::-1]], axis=1).reshape(-1, 2)
         self._tree = KDTree(np.column_stack([self._places, _OTHERS * sides]))
@@ -194,7 +194,7 @@ class Crossings:
         places, way = places[rows] - begin[rows, None], way[rows, None] / length[rows, None] ** 2
         apart, points = np.where(is_near[rows], 1.0, -np.inf), np.empty((len(rows), _POINTS, 2))
         for k in range(_POINTS):  # each as far from those before as can be
-            points[:, k] = places[np.arange(len(rows)), np.argmax(apart, axis=1)]
+            points[:, k] = places[np.arange(len(rows)), apart.argmax(axis=1)]
             apart = np.minimum(apart, _length(places - points[:, k, None]))
         off, along = cross(way, points), (way * points).sum(axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -276,7 +276,7 @@ class Lines:
 
     def bracket(self, keys: Codes) -> Floats:
         """Ends of the brackets of the crossings on edges, (2, n, 2), from each edge's first node on."""
-        return self.brackets[np.searchsorted(self.keys, keys)].swapaxes(0, 1)
+        return self.brackets[self.keys.searchsorted(keys)].swapaxes(0, 1)
 
     def _widths(self) -> Floats:
         return _length(self.brackets[:, 1] - self.brackets[:, 0])
@@ -312,10 +312,10 @@ class Lines:
     def _find_beside_crossings(self) -> None:
         """Cut edges on which another label is hidden beside the crossing."""
         keys = np.intersect1d(self._mixed_edges(), self.keys)
-        nodes, at = np.stack(ends_of(keys), axis=1), np.searchsorted(self.keys, keys)
+        nodes, at = np.stack(ends_of(keys), axis=1), self.keys.searchsorted(keys)
         places = np.insert(self.triangles.positions[nodes], [1], self.brackets[at], axis=1)
         runs = np.insert(self.triangles.runs[nodes], [1], self.runs[at], axis=1)
-        self._find_hidden(np.repeat(keys[:, None], 4, axis=1), places, runs)
+        self._find_hidden(keys[:, None].repeat(4, axis=1), places, runs)
 
     def _mixed_edges(self, *, only_new: bool = False) -> Codes:
         """Keys of the edges whose ends have different labels, ascending."""
@@ -395,7 +395,7 @@ class Lines:
     def _keep(self, keys: Codes, brackets: Floats, runs: Points) -> None:
         """Keep crossings: keys of the edges (n,), and brackets (n, 2, 2) and runs (n, 2) from the first node on."""
         every = np.concatenate([self.keys, keys])
-        order = np.argsort(every)
+        order = every.argsort()
         self.keys, self.brackets = every[order], np.concatenate([self.brackets, brackets])[order]
         self.runs = np.concatenate([self.runs, runs])[order]
 
@@ -421,7 +421,7 @@ class Lines:
         long = sides[is_large][lengths[is_large] > _LONG * lengths[is_large].max(axis=1, keepdims=True)]
         crossing = self.position(keys_of(*long.T))
         away = positions[long] - crossing[:, None]
-        to_far_end = away[np.arange(len(long)), np.argmax(_length(away), axis=1)]
+        to_far_end = away[np.arange(len(long)), _length(away).argmax(axis=1)]
         places = np.concatenate([positions[two[:, 1:]].mean(axis=1), crossing + _BESIDE * to_far_end])
         keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], long]).T), return_index=True)
         self._cuts.append((keys, places[at], self._run(places[at])))

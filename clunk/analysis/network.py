@@ -69,7 +69,7 @@ def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
 
     tree = KDTree(points)
     _, place = connected_components(tree.sparse_distance_matrix(tree, SAME, p=np.inf))
-    met = np.unique(np.column_stack([np.repeat(place, 3), labels.ravel()]), axis=0)
+    met = np.unique(np.column_stack([place.repeat(3), labels.ravel()]), axis=0)
     counts = np.bincount(met[:, 0])
     codes = np.full((counts.size, counts.max(initial=3)), NO_LABEL, np.int16)
     codes[np.arange(codes.shape[1]) < counts[:, None]] = met[:, 1]

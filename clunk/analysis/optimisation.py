@@ -428,7 +428,7 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
 
     size = _POPULATION * problem.low.size
     half = rng.permutation(len(points))[: len(points) // 2]
-    order = half[np.argsort(merits[half], kind="stable")]
+    order = half[merits[half].argsort(kind="stable")]
     result = differential_evolution(
         lambda columns: problem.merit(problem(columns.T)),
         Bounds(problem.low, problem.high),

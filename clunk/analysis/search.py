@@ -188,7 +188,7 @@ def narrow(
         cells, new = ends["cell"][rows, 0], values[rows, columns]
         runs = run(cells, new)
         runs["cell"], runs["value"] = cells, new
-        points, bracket = np.concatenate([ends.ravel(), runs]), np.append(np.repeat(np.arange(len(ends)), 2), rows)
+        points, bracket = np.concatenate([ends.ravel(), runs]), np.append(np.arange(len(ends)).repeat(2), rows)
         order = np.lexsort((points["value"], bracket))
         points, bracket = points.take(order), bracket[order]
         at = _changes(points, bracket)

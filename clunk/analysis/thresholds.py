@@ -118,14 +118,14 @@ class Thresholds(Design):
         fails = (self.below == FAILED_CODE) | (self.above == FAILED_CODE)
         wide = self.off > np.where(fails, OFF_FAILURES, TOLERANCE) * np.ptp(self.along.values)
         begins, ends = self.value - self.off, self.value + self.off
-        at = np.stack([self.cell, np.searchsorted(self.along.values, self.value)])
+        at = np.stack([self.cell, self.along.values.searchsorted(self.value)])
         places = np.unique(at[:, wide], axis=1).T
         rows = [wide & (place == at.T).all(axis=1) for place in places]
         return [(int(cell), begins[row].min(), ends[row].max()) for (cell, _), row in zip(places, rows, strict=True)]
 
     def intervals(self, cell: int) -> list[tuple[float, float, int]]:
         """The intervals of the axis with one outcome each in a cell, ascending: begin, end and code."""
-        first, last = np.searchsorted(self.cell, [cell, cell + 1])
+        first, last = self.cell.searchsorted([cell, cell + 1])
         ends = self.along.values[[0, -1]].tolist()
         inner, codes = self.value[first:last].tolist(), self.above[first:last].tolist()
         return [*zip([ends[0], *inner], [*inner, ends[1]], [int(self.lowest[cell]), *codes], strict=True)]
@@ -243,7 +243,7 @@ def thresholds(
     drawn = drawn_numbers(study, tolerances)
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
     keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
-    scanned = np.repeat(np.arange(design.cells), len(along_axis))
+    scanned = np.arange(design.cells).repeat(len(along_axis))
     with engine_of(None, workers) as engine, reporting(progress, study, what="runs") as report:
         point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)
 
@@ -346,7 +346,7 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     lowest, columns = [], []
     for cell in range(cells):
         at = np.flatnonzero(thresholds.cell % cells == cell)
-        at = at[np.argsort(thresholds.value[at])]
+        at = at[thresholds.value[at].argsort()]
         # number of draws with each outcome, the last of failed runs, in each interval between any draw's thresholds
         counts = np.zeros((at.size + 1, len(thresholds.words) + 1), np.int64)
         np.add.at(counts[0], thresholds.lowest[cell::cells], 1)

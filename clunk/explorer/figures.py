@@ -195,7 +195,7 @@ class MapFigure:
     def label(self, text: str, x: float, y: float) -> None:
         """Write a text beside the pointer, on the side that has more room; an empty one takes it away."""
         to, _ = ruler(self._axes[0])
-        is_right = to(x) > np.mean(to(self._axes[0].values)) if text else False
+        is_right = to(x) > to(self._axes[0].values).mean() if text else False
         shown = (x, y, text, "right", -14) if is_right else (x, y, text, "left", 14)
         self._pointed.update(**_columns("x y text align offset", [shown] if text else []))
 
@@ -442,8 +442,8 @@ def thinned(time: Floats, values: Floats, begin: float, end: float, spans: int) 
     -------
     time, values : (m,) float64, m at most 4 spans + 3
     """
-    first = max(0, int(np.searchsorted(time, begin)) - 1)
-    last = min(time.size, int(np.searchsorted(time, end, side="right")) + 1)
+    first = max(0, int(time.searchsorted(begin)) - 1)
+    last = min(time.size, int(time.searchsorted(end, side="right")) + 1)
     starts = np.arange(first, last, max(1, (last - first) // spans))
     extremes = [reduce.reduceat(values[:last], starts) for reduce in (np.minimum, np.maximum)]
-    return np.append(np.repeat(time[starts], 2), time[last - 1]), np.append(np.ravel(extremes, "F"), values[last - 1])
+    return np.append(time[starts].repeat(2), time[last - 1]), np.append(np.ravel(extremes, "F"), values[last - 1])

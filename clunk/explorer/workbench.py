@@ -215,7 +215,7 @@ class Workbench:
             cell = []
             for axis, value, direction in zip(self._subject.plane, self._cell, _ARROWS[key], strict=False):
                 at = np.searchsorted(values := np.sort(axis.values), value) + direction * int(steps)
-                cell.append(float(values[np.clip(at, 0, len(values) - 1)]))
+                cell.append(float(values[at.clip(0, len(values) - 1)]))
             self._select(tuple(cell))
         elif key == "p":
             if self._run is not None:

@@ -76,7 +76,7 @@ def _look_closely(ax: Axes, runs: Runs) -> None:
     first = min((run for run in runs if run.impacts), key=lambda run: run.impacts[0].begin, default=None)
     if first is None:
         raise PlotError("There is no impact to look at closely: no primary impact happens.")
-    impact, side = first.impacts[0].begin, first.touches.side[np.argmax(first.touches.primary)]
+    impact, side = first.impacts[0].begin, first.touches.side[first.touches.primary.argmax()]
     begin = np.floor((impact - _BEFORE) / _TICK) * _TICK  # the axis begins at a tick
     end = begin + _CLOSE
     near = np.concatenate(

@@ -123,7 +123,7 @@ def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) ->
         return None
     turned, angle = mask, 0.0
     if is_along:
-        rows, columns = np.nonzero(mask)
+        rows, columns = mask.nonzero()
         (xx, xy), (_, yy) = np.cov(columns, rows, ddof=0)
         angle = math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy))
         turned = np.asarray(Image.fromarray(mask).rotate(angle, expand=True))
@@ -135,6 +135,6 @@ def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) ->
     # Of many places as good, as along a band, the one nearest their middle.
     good = margins > int(0.93 * (margins.max() - 1))
     places = np.argwhere(good)[:, ::-1] + 0.5 * (np.array([width, height]) % 2 - turned.shape[::-1])
-    u, v = places[np.argmin(np.hypot(*(places - places.mean(axis=0)).T))]
+    u, v = places[np.hypot(*(places - places.mean(axis=0)).T).argmin()]
     c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     return c * u - s * v + 0.5 * mask.shape[1], s * u + c * v + 0.5 * mask.shape[0], angle

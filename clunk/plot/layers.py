@@ -145,7 +145,7 @@ class Layers:
             whole = np.arange(2.0)  # one of them alone has its colour, too
         if (by_label or described.type == YES_NO) and whole.size <= MOST_LABELS and not draws:
             if not by_label:  # lines are traced between labels
-                codes = np.where(np.isnan(values), FAILED_CODE, np.searchsorted(whole, values)).astype(np.int16)
+                codes = np.where(np.isnan(values), FAILED_CODE, whole.searchsorted(values)).astype(np.int16)
                 unresolved, undecided = layers.unresolved[:0], np.zeros_like(undecided)
                 layers = replace(layers, codes=codes, boundaries=None, unresolved=unresolved, undecided=undecided)
             fact = f"{'whether' if described.type == YES_NO else 'numbers:'} {described.heading}"
@@ -221,7 +221,7 @@ class Layers:
     @property
     def doubts(self) -> Floats:
         """(n, axes) places of undecided cells, and of those that tracing left open."""
-        at = np.nonzero(self.undecided)
+        at = self.undecided.nonzero()
         cells = [axis.values[k] for axis, k in zip(self.view.axes, at, strict=True)]
         return np.vstack([np.column_stack(cells), self.unresolved])
 

@@ -76,7 +76,7 @@ class View(NamedTuple):
                 f"These results sweep {len(swept)} axes ({names}) and a map shows two: choose one value of {surplus} "
                 "(--at), or draw a map for each (--facet)."
             )
-        order = tuple(np.argsort(axis.values, kind="stable") for axis in swept)
+        order = tuple(axis.values.argsort(kind="stable") for axis in swept)
         axes = tuple(replace(axis, values=axis.values[at], words=()) for axis, at in zip(swept, order, strict=True))
         return cls(axes, fixed_parameters(drawn), tuple(map(drawn.axes.index, swept)), order)
 
@@ -162,7 +162,7 @@ def cell_edges(axis: ResultAxis) -> Floats:
 
 def cells_of(axis: ResultAxis, at: Floats) -> Positions:
     """Positions of the cells of an ascending axis in which points lie; beyond it the first and the last."""
-    return np.clip(np.searchsorted(cell_edges(axis), at) - 1, 0, len(axis) - 1)
+    return np.clip(cell_edges(axis).searchsorted(at) - 1, 0, len(axis) - 1)
 
 
 def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAxis]) -> None:

@@ -2,8 +2,6 @@
 
 from functools import cache, cached_property
 
-import numpy as np
-
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.fitting import fit
 from clunk.analysis.measurements import ExperimentComparison, compare_experiment, read_experiment
@@ -146,4 +144,4 @@ def _closed_modes(study: Study) -> Modes:
 def acceleration_range(run: Trajectory) -> tuple[float, float]:
     """Least and largest acceleration after the first primary impact  [rad/s2]."""
     window = run.extremes[run.primaries[0] :, run.lash]
-    return np.min(window[:, 1]), np.max(window[:, 0])
+    return window[:, 1].min(), window[:, 0].max()

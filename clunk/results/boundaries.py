@@ -205,7 +205,7 @@ class Boundaries:
 
 
 def _parts(values: Array, counts: Counts) -> list[Array]:
-    return list(np.split(values, np.cumsum(counts)[:-1])) if counts.size else []
+    return list(np.split(values, counts.cumsum()[:-1])) if counts.size else []
 
 
 def variables_of(boundaries: Boundaries) -> dict[str, Variable]:

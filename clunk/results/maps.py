@@ -153,7 +153,7 @@ class Map(Design, ABC):
     @cached_property
     def first_impact(self) -> Integers:
         """Position of each cell's first impact in the flat arrays, and last their number: (cells + 1,), in C order."""
-        return np.concatenate(([0], np.cumsum(self.primary_impacts, dtype=np.int64)))
+        return np.concatenate(([0], self.primary_impacts.cumsum(dtype=np.int64)))
 
     def at(self, values: Mapping[str, float | str]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
@@ -229,7 +229,7 @@ class Map(Design, ABC):
         if "primary_impacts" in arrays:
             is_part = np.zeros(self.shape, bool)
             is_part[index] = True
-            impacts = np.repeat(is_part.ravel(), self.primary_impacts.ravel())
+            impacts = is_part.ravel().repeat(self.primary_impacts.ravel())
             arrays |= {name: self.arrays[name][impacts] for name in self.quantities if name not in arrays}
         lash = np.array(self.lashes)[index[-1:]].ravel().tolist() if self.lashes else [""]
         is_whole = all(places == slice(None) for places in index[: len(self.axes) - bool(self.lashes)])

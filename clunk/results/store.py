@@ -149,7 +149,7 @@ def map_of(dataset: Dataset) -> AnyMap:
     arrays = {name: variables[name].values for name in quantities}
     for name, quantity in quantities.items():
         if quantity.of == "cell" and lashes:
-            arrays[name] = np.repeat(arrays[name][..., None], len(lashes), axis=-1)
+            arrays[name] = arrays[name][..., None].repeat(len(lashes), axis=-1)
     return (ToleranceMap if is_tolerance_map else Results)(
         title=attributes["title"],
         axes=axes,

@@ -163,7 +163,7 @@ class Driveline:
         for k, shaft in self.staged:
             ends = sorted([0.0, twists[k]])
             nodes = np.unique(np.clip([*ends, *shaft.breakpoints], *ends))
-            stages = np.searchsorted(shaft.breakpoints, nodes)
+            stages = shaft.breakpoints.searchsorted(nodes)
             torques = shaft.stiffness[stages] * nodes + shaft.torques[stages]
             energy[k] = np.sign(twists[k]) * np.sum((torques[1:] + torques[:-1]) * np.diff(nodes)) / 2.0
         return energy
@@ -192,7 +192,7 @@ class Driveline:
         damping, stiffness = self.matrices(closed=closed)
         rates = locked(chain(self.inertia, damping, stiffness), self.inertia, ties.expand)
         every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
-        order, springs = np.argsort(abs(every)), np.concatenate([stiffness, self.lashes[rigid]])
+        order, springs = abs(every).argsort(), np.concatenate([stiffness, self.lashes[rigid]])
         # what no spring holds does not come back, and what no damper holds either keeps its speed: found to half the
         # digits of the fastest mode, as a double zero
         held = [np.linalg.matrix_rank(rows) for rows in (springs, np.concatenate([springs, damping]))]

@@ -182,7 +182,7 @@ def sample(
     line = Driveline.from_study(study)
     gains = line.rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
     phases = [_before_load_step(trajectory, system, inputs_before, gains, begin, step)]
-    for k in range(np.searchsorted(trajectory.phases["time"], end, side="right")):
+    for k in range(trajectory.phases["time"].searchsorted(end, side="right")):
         phases += _after_event(trajectory, system, inputs_before, load, k, end, step)
     columns = zip(*((phase.time, phase.state, *phase.observed(line, system)) for phase in phases), strict=True)
     after_step, state, acceleration, torque, contacts, contact_torques = (np.concatenate(column) for column in columns)

@@ -67,7 +67,7 @@ def _lines(times: Floats, torques: Floats) -> Floats:
 
 def _held(durations: Floats, torques: Floats, rest: Floats) -> Floats:
     """(rows, P + 1, PIECE): each torque held for its duration, (rows, P), and then `rest`, (rows, 1)."""
-    begins = np.cumsum(np.pad(durations, ((0, 0), (1, 0))), axis=1)
+    begins = np.pad(durations, ((0, 0), (1, 0))).cumsum(axis=1)
     rows = max(len(begins), len(torques), len(rest))
     pieces = np.zeros((rows, begins.shape[1], PIECE))
     pieces[..., BEGIN], pieces[:, :-1, LEVEL], pieces[:, -1:, LEVEL] = begins, torques, rest

@@ -75,7 +75,7 @@ def stretches(
 
     before : inputs d before the load step  [N m, rad, N m/s]
     """
-    first = np.searchsorted(load[:, BEGIN], begin, side="right") - 1
+    first = load[:, BEGIN].searchsorted(begin, side="right") - 1
     kinks = np.append(load[first + 1 :, BEGIN], np.inf)
     begins, ends = np.append(begin, kinks[:-1]), np.minimum(kinks, end)
     pieces = np.flatnonzero((kinks > begins) & ((begins < end) | (begins == begin)))
@@ -171,7 +171,7 @@ def _series(rates: bytes, size: int) -> tuple[Floats, Floats, float, Floats]:
     from scipy.linalg import matrix_balance  # a fifth of a second, which runs without histories do not take
 
     matrix, unit, norm = np.frombuffer(rates).reshape(size, size), np.ones(size), np.nan
-    if np.all(np.isfinite(matrix)):
+    if np.isfinite(matrix).all():
         with np.errstate(invalid="ignore"):  # it also casts the units to integers, for permutations, of which are none
             matrix, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
         norm = float(np.linalg.norm(matrix)) or 1.0

@@ -90,7 +90,7 @@ def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str
     free = [name for name, speed in zip(names, part, strict=True) if speed != 0.0]
     return (
         f"no steady motion before the load step: no stiffness joins {listing(free)} to "
-        f"{names[int(np.argmax(load))]} or to ground, not even with the lash closed; give a shaft between them a "
+        f"{names[int(load.argmax())]} or to ground, not even with the lash closed; give a shaft between them a "
         "stiffness"
     )
 

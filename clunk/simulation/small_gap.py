@@ -153,7 +153,7 @@ def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
 
 def _extremes(rates: ComplexArray, amplitudes: ComplexArray) -> Floats:
     """Minima and maxima of f = Re sum of amplitude · exp(rate t) in turn, a minimum first, until it is too faint."""
-    fastest = np.max(abs(rates.imag), initial=0.0)
+    fastest = abs(rates.imag).max(initial=0.0)
     if fastest == 0.0:
         return np.empty(0)
     step, slowest = 2.0 * np.pi / fastest / _SAMPLES, -rates.real.max()

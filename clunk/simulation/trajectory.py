@@ -244,7 +244,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
         phases=phases,
         phase_states=states,
         primaries_of=tuple(np.flatnonzero(primary & (events["lash"] == lash)) for lash in range(lashes)),
-        severities_of=tuple(np.split(severities, np.cumsum(cells["primary_impacts"])[:-1])),
+        severities_of=tuple(np.split(severities, cells["primary_impacts"].cumsum()[:-1])),
         margins=cells["margin"].copy(),
         complete=bool(cells["quality"][0] & QUALITY_COMPLETE),
         end=float(output.ends[0]),

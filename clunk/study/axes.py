@@ -85,7 +85,7 @@ class ResultAxis:
         if not lowest <= value <= highest:  # also where it is not a number
             raise ClunkError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
         apart = np.log(self.values / value) if self.is_geometric else self.values - value
-        return int(np.argmin(abs(apart)))
+        return int(abs(apart).argmin())
 
     def few(self, most: int) -> Floats:
         """At most so many of its values, in ascending order and evenly spread, with the first and the last."""

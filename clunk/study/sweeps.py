@@ -107,7 +107,7 @@ def _grid(axis: Axis) -> Floats:
         else:  # multiplied before divided: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
             grid = axis.start + (axis.stop - axis.start) * k / last
         # rounding must not carry a value out of a range that allows both ends
-        grid = np.clip(grid, min(axis.start, axis.stop), max(axis.start, axis.stop))
+        grid = grid.clip(min(axis.start, axis.stop), max(axis.start, axis.stop))
         grid[-1] = axis.stop
     grid += 0.0  # no negative zeros, which are equal to positive ones and would share their place
     grid.flags.writeable = False
@@ -184,7 +184,7 @@ class Draw(Varied):
         if not share > 0.0:
             values = np.full_like(values, np.nan)  # none of the distribution is from low to high
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
-        return np.clip(values, low, high)
+        return values.clip(low, high)
 
     def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> Floats:
         """Values of the key, from the numbers that were drawn and its nominal value."""

@@ -40,7 +40,7 @@ def labels_of(records: Records | Columns, impacts: Records | Columns) -> tuple[t
         label([OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:]]) if pattern else FAILED
         for pattern in patterns.tolist()
     ]
-    word_of, ends = np.searchsorted(patterns, records["pattern"]), np.cumsum(records["primary_impacts"])
+    word_of, ends = patterns.searchsorted(records["pattern"]), records["primary_impacts"].cumsum()
     for k in np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK)).tolist():
         word_of[k] = len(words)
         words.append(label(impacts["flank"][ends[k] - records["primary_impacts"][k] : ends[k]]))
@@ -118,11 +118,11 @@ class Reduction:
         """Records of all rows, and their details, those of each row behind those of the row before it."""
         assert self.known.all()
         counts = self._records[self.grid.layout.counted_by]
-        ends = np.cumsum(counts, dtype=np.int64)
+        ends = counts.cumsum(dtype=np.int64)
         columns = _columns(ends[-1], np.result_type(*{details.dtype for _, details in self._details}))
         for rows, details in self._details:
             of_rows = counts[rows]
-            places = np.repeat(ends[rows] - np.cumsum(of_rows), of_rows) + np.arange(details.size)
+            places = np.repeat(ends[rows] - of_rows.cumsum(), of_rows) + np.arange(details.size)
             for name, column in columns.items():
                 column[places] = details[name]
         return self._records, columns

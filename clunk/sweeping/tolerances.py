@@ -82,7 +82,7 @@ class SampleGrid(Grid):
         if tile.cells.size < count:
             return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
         labels, codes = labels_of(tile.records, tile.details)
-        order = np.argsort(self.layout.rows(tile.cells)).reshape(self.draws + 1, -1).T  # (rows, draws), nominal last
+        order = self.layout.rows(tile.cells).argsort().reshape(self.draws + 1, -1).T  # (rows, draws), nominal last
         severity, status = tile.records["severity"], tile.records["status"]
         summaries = [_summary(codes[runs], severity[runs], status[runs]) for runs in order]
         outcomes = [(runs, labels[code].encode()) for _, counts in summaries for code, runs in counts.items()]
@@ -110,13 +110,13 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
     labels, numbers = in_order([text.decode() for text in texts.tolist()])
     codes, count = numbers[inverse], records["outcomes"]
     runs = np.zeros((reduction.rows, len(labels) + 1), np.int32)
-    runs[np.repeat(np.arange(reduction.rows), count), codes] = outcomes["runs"]
+    runs[np.arange(reduction.rows).repeat(count), codes] = outcomes["runs"]
     runs[:, FAILED_CODE] = grid.draws - runs.sum(axis=1)
     sequence = runs.argmax(axis=1).astype(np.int16)  # of equally likely labels the first
     sequence[sequence == len(labels)] = FAILED_CODE
     is_known = records["nominal_status"] == Status.OK
     nominal = np.full(reduction.rows, FAILED_CODE, np.int16)
-    nominal[is_known] = codes[(np.cumsum(count) - count)[is_known]]
+    nominal[is_known] = codes[(count.cumsum() - count)[is_known]]
     return ToleranceMap(
         axes=reduction.axes,
         **heading_of(reduction.study),
