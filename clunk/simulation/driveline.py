@@ -111,9 +111,8 @@ class Driveline:
 
         closed : (L,), whether each is, or one for all
         """
-        across = self.shafts.swapaxes(-1, -2)
         damping, stiffness = (
-            (across * sizes[..., None, :]) @ self.shafts for sizes in (self.shaft_damping, self.shaft_stiffness)
+            (self.shafts.mT * sizes[..., None, :]) @ self.shafts for sizes in (self.shaft_damping, self.shaft_stiffness)
         )
         for k in np.flatnonzero(np.broadcast_to(closed, self.lashes.shape[-2])):
             coupling = self.lashes[..., k, :, None] * self.lashes[..., k, None, :]

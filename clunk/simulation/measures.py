@@ -119,5 +119,5 @@ def _tabulate(systems: System, channels: Floats) -> tuple[Floats, Floats, Floats
     steps = [step]
     for _ in range(1, LEVELS):
         steps.append(steps[-1] @ steps[-1])
-    transposed = [np.ascontiguousarray(array.swapaxes(-1, -2)) for array in (np.stack(steps, axis=2), rates)]
+    transposed = [np.ascontiguousarray(array.mT) for array in (np.stack(steps, axis=2), rates)]
     return lengths, *transposed, np.stack(terms, axis=-1)

@@ -146,7 +146,7 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
     of_forms = [forms * unit[:, None] * unit]
     for k in range(2, _TERMS + 1 if forms.size else 2):
         product = of_forms[-1] @ scaled / k
-        of_forms.append(product + product.swapaxes(1, 2))
+        of_forms.append(product + product.mT)
     count = max(1, _AT_ONCE // (rates.size + forms.size))
     for k in range(0, lengths.size, count):
         reach = norm * lengths[k : k + count]
@@ -158,7 +158,7 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
             half = travel[more]
             flow = np.eye(len(rates)) + scaled @ half
             travel[more] += half @ flow
-            grown[more] += flow.swapaxes(1, 2)[:, None] @ grown[more] @ flow[:, None]
+            grown[more] += flow.mT[:, None] @ grown[more] @ flow[:, None]
         yield from zip(travel / norm * unit[:, None] / unit, grown / norm / unit[:, None] / unit, strict=True)
 
 

@@ -33,7 +33,7 @@ def rigid_motions(joints: Floats) -> Floats:
         left -= set(np.flatnonzero(alike(speeds != 0.0)).tolist())
         if not alike(_twists(joints, speeds).any(axis=-1), 0):
             motions.append(speeds)
-    return np.stack(motions, axis=-2).swapaxes(-1, -2) if motions else np.zeros((joints.shape[-1], 0))
+    return np.stack(motions, axis=-2).mT if motions else np.zeros((joints.shape[-1], 0))
 
 
 def speeds_along(joints: Floats, start: int) -> Floats:
