@@ -174,7 +174,7 @@ def compare(a: Results, b: Results) -> Comparison:
         configs_equal=a.config_digest == b.config_digest,
         largest_differences=() if identical else tuple(_largest_differences(a, b, compared & ~differs)),
         config_differences=_unlike(*(dict(leaves(each.tables)) for each in (a, b))),
-        provenance_differences=_unlike({**a.attributes, "created": ""}, {**b.attributes, "created": ""}),
+        provenance_differences=_unlike(a.attributes | {"created": ""}, b.attributes | {"created": ""}),
         verdict=_verdict(cells, differing, elsewhere),
         titles={"a": a.title, "b": b.title},
         cells=cells,
@@ -283,4 +283,4 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
 
 def _unlike(a: dict[str, Any], b: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The keys that have different values, and these values."""
-    return {key: {"a": a.get(key), "b": b.get(key)} for key in {**a, **b} if a.get(key) != b.get(key)}
+    return {key: {"a": a.get(key), "b": b.get(key)} for key in a | b if a.get(key) != b.get(key)}

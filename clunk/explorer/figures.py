@@ -339,7 +339,7 @@ class RunFigures:
         look = {"line_color": FAINT_INK, "line_dash": "dotted", "line_width": 1.0}
         plot.add_layout(Span(location=self._load_step, dimension="height", **look))
         plot.multi_line(f"{panel.name}_x", f"{panel.name}_y", source=self._curves, color="colour", line_width=1.4)
-        plot.on_event(Reset, lambda _: self.message.send({**self._see(self._whole), **self._drawn()}))
+        plot.on_event(Reset, lambda _: self.message.send(self._see(self._whole) | self._drawn()))
         return plot
 
     def show(self, run: Shown, pins: Sequence[Shown], lash: int, note: str) -> None:
@@ -367,13 +367,13 @@ class RunFigures:
             "compared": {"text": "<br>".join(lines)},
             "events": {"text": html_table([*events, ending], headings)},
         }
-        self.message.send({**changes, **self._drawn()})
+        self.message.send(changes | self._drawn())
 
     def refuse(self, text: str) -> None:
         """Show no run, and why."""
         self._runs = []
-        texts = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
-        self.message.send({**texts, **self._drawn()})
+        texts: Changes = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
+        self.message.send(texts | self._drawn())
 
     def _see(self, span: tuple[float, float]) -> Changes:
         """Let the time axis begin and end at these times."""

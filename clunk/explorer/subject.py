@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from clunk.sweeping.sweep import sweep
 _LONGEST = 5.0  # s, of tracing the boundaries of a map
 _COARSE = 31  # values of an axis, of the map that is shown first
 
-Numbers = Mapping[str, float]  # dotted key -> value, in its unit
+Numbers = dict[str, float]  # dotted key -> value, in its unit
 
 
 class Subject:
@@ -86,7 +86,7 @@ class Subject:
             swept = swept.but(tolerances=whole.tolerances, sampling=whole.sampling)
         drawn = {each.parameter for each in swept.samples}
         kept = {key: value for key, value in self.values(cell).items() if key not in drawn}
-        return to_toml(replace_values(self.study, {**kept, **numbers}).but(sweep=swept))
+        return to_toml(replace_values(self.study, kept | numbers).but(sweep=swept))
 
     def maps(self, slices: Numbers, numbers: Numbers, lash: str, progress: Progress) -> Iterator[AnyMap]:
         """Yield the map with other numbers, better and better: every few values, all of them, and with its lines.
@@ -116,7 +116,7 @@ class Subject:
         return any(axis.parameter == RUN for axis in self._axes)
 
     def _study_at(self, cell: Numbers, numbers: Numbers) -> Study:
-        return replace_values(self.study.but(sweep=None), {**self.values(cell), **numbers})
+        return replace_values(self.study.but(sweep=None), self.values(cell) | numbers)
 
     def _study_of_map(self, cell: Numbers, numbers: Numbers) -> Study:
         """The study whose sweep is the map that is shown, at a cell's values of the other axes."""
@@ -124,7 +124,7 @@ class Subject:
         fixed = {key: value for key, value in self.values(cell).items() if key not in shown}
         if self._has_runs:
             fixed = {axis.parameter: fixed[axis.parameter] for axis in self._axes if axis.parameter in fixed}
-        study = replace_values(self.study, {**fixed, **numbers})
+        study = replace_values(self.study, fixed | numbers)
         axes = tuple(axis for axis in self.study.swept.axes if axis.parameter in shown)
         return study.but(sweep=self.study.sweep if self._has_runs else Sweep(axes=axes))
 

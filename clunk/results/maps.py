@@ -428,7 +428,7 @@ class ToleranceMap(Map):
             for name, level in zip(_QUANTILE_NAMES, QUANTILES, strict=True)
         }
         mean = self.quantities["severity_mean"]._replace(name="severity")
-        return {**of_labels, "severity": mean, **quantiles}
+        return of_labels | {"severity": mean} | quantiles
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
         """Mean over the runs of each cell that did not fail: of 1 and 0 a share; NaN where all failed."""

@@ -123,7 +123,7 @@ def dataset_of(results: AnyMap) -> Dataset:
     if results.boundaries is not None:
         variables |= variables_of(results.boundaries)
     own = {"title": results.title, "config": results.config, "config_digest": results.config_digest}
-    return Dataset(variables, {**results.attributes, **own, **({_KIND: _TOLERANCE_MAP} if sample else {})})
+    return Dataset(variables, results.attributes | own | ({_KIND: _TOLERANCE_MAP} if sample else {}))
 
 
 def _of_axis(axis: ResultAxis, dim: str) -> Variable:

@@ -235,7 +235,7 @@ def differences(config: str, study: Study) -> str:
         )
     except ConfigError:
         return "which this version refuses"
-    keys = [key for key in {**earlier, **current} if earlier.get(key) != current.get(key)]
+    keys = [key for key in earlier | current if earlier.get(key) != current.get(key)]
     texts = [f"{key} = {_shown(earlier.get(key))} there, {_shown(current.get(key))} here" for key in keys[:5]]
     return "; ".join([*texts, f"and {len(keys) - 5} more"] if len(keys) > 5 else texts)
 
