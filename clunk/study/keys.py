@@ -91,7 +91,7 @@ def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
             yield from inner
             yield from ((at, _of_item(key, dotted(place))) for at, key in _keys((*place, ITEM), several["items"]))
             return
-        leaf = _leaf({**one, **{word: value for word, value in node.items() if word != "oneOf"}})
+        leaf = _leaf({**one, **node})
         yield place, leaf._replace(must_be=f"{leaf.must_be}, or a list of such numbers")
         yield (*place, ITEM), _leaf(_resolved(several["items"]))
         return
