@@ -273,11 +273,11 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
     spelt = {variable_of(name): variable_of(key) for name, key in spellings(results.tables).items()}
     experiment = replace(experiment, columns=tuple(spelt.get(column, column) for column in experiment.columns))
     variables = [axis.variable for axis in results.axes]
-    swept = ", ".join(variables)
     for column in experiment.columns:
         if column not in variables:
             raise ClunkError(
-                f"The column {shorten(column)} of {experiment.name} is no axis of the results, which sweep {swept}."
+                f"The column {shorten(column)} of {experiment.name} is no axis of the results, which sweep "
+                f"{', '.join(variables)}."
             )
     for axis in results.axes:
         if axis.variable not in experiment.columns and len(axis) > 1:

@@ -89,8 +89,7 @@ class Map(Design, ABC):
                 shape = (int(self.first_impact[-1]),)
             array = self.arrays[name]
             if array.shape != shape or array.dtype != quantity.dtype:
-                expected = f"{np.dtype(quantity.dtype)} {shape}"
-                raise ValueError(f"{name} must be {expected}, not {array.dtype} {array.shape}")
+                raise ValueError(f"{name} must be {np.dtype(quantity.dtype)} {shape}, not {array.dtype} {array.shape}")
         if self.sequence.min() < FAILED_CODE or self.sequence.max() >= len(self.labels):
             raise ValueError("sequence holds a code without a label")
 
@@ -147,8 +146,7 @@ class Map(Design, ABC):
 
         In a tolerance map, what holds or not has a probability.
         """
-        is_probability = bool(self.sample) and quantity.type == YES_NO
-        return f"Probability that {quantity.words}" if is_probability else quantity.plot_label
+        return f"Probability that {quantity.words}" if self.sample and quantity.type == YES_NO else quantity.plot_label
 
     @cached_property
     def first_impact(self) -> Integers:
@@ -316,8 +314,7 @@ class Results(Map):
     @property
     def entries(self) -> dict[str, Array]:
         """Numbers of the primary impacts, as many as the cell with the most has, and at least 1."""
-        most = max(1, self.primary_impacts.max())
-        return {"impact": np.arange(1, most + 1, dtype=np.int32)}
+        return {"impact": np.arange(1, max(1, self.primary_impacts.max()) + 1, dtype=np.int32)}
 
     def cell(self, values: Mapping[str, float | str]) -> dict[str, Any]:
         """Label, quantities and primary impacts of the cell nearest to these values, by name.
@@ -361,9 +358,11 @@ class Results(Map):
 
     def label_table(self) -> list[dict[str, str]]:
         """See `Map.label_table`: the number of cells, and their share."""
-        cells = self.sequence.size
-        counts = self.counts().items()
-        return [{"label": label, "cells": f"{n:,}", "share": f"{n / cells:.1%}"} for label, n in counts if n]
+        return [
+            {"label": label, "cells": f"{n:,}", "share": f"{n / self.sequence.size:.1%}"}
+            for label, n in self.counts().items()
+            if n
+        ]
 
     @property
     def facts(self) -> Rows:

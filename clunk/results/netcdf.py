@@ -132,9 +132,15 @@ def write(path: FilePath, dataset: Dataset, scratch: Path | None = None) -> None
     image = io.BytesIO()
     with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 asks for creation order
         file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
-        names = " ".join(dataset.variables)
-        own = {"Conventions": "CF-1.11", "variables": names, "content_digest": content_digest(dataset)}
-        _set_attributes(file, {**dataset.attributes, **own})
+        _set_attributes(
+            file,
+            {
+                **dataset.attributes,
+                "Conventions": "CF-1.11",
+                "variables": " ".join(dataset.variables),
+                "content_digest": content_digest(dataset),
+            },
+        )
         for name in dataset.variables:
             _create(file, name, dataset)
     content = image.getbuffer()

@@ -155,8 +155,8 @@ class Quantity(NamedTuple):
         if self.of_label("NI") is not None:
             return results.of_labels([self.of_label(label) or 0.0 for label in results.labels])
         if self.name == CHATTER:
-            holds = results.arrays["touches"] > results.arrays["primary_impacts"]
-            return np.where(results.arrays["sequence"] == FAILED_CODE, np.nan, holds)
+            holds = results.touches > results.primary_impacts
+            return np.where(results.sequence == FAILED_CODE, np.nan, holds)
         if self.base is None:
             return results.numbers(self.name)
         numbers = self.base.compared(results)
@@ -168,7 +168,7 @@ class Quantity(NamedTuple):
         if self.name == "margin":
             return abs(values)
         if self.name == "last_event_time":
-            values = np.where(results.arrays["sequence"] == FAILED_CODE, np.nan, np.nan_to_num(values))
+            values = np.where(results.sequence == FAILED_CODE, np.nan, np.nan_to_num(values))
         return values
 
     def of_label(self, label: str) -> float | None:

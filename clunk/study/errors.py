@@ -55,8 +55,8 @@ class ConfigError(ClunkError):
 def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
     """Error that lists all of a subject's problems, in the order of their lines."""
     ordered = sorted(problems, key=lambda p: (p.override, p.line is None, p.line or 0))
-    lines = [f"{subject} has {counted(len(ordered), 'error')}:"]
-    return ConfigError("\n".join([*lines, *(fill(str(problem), "  ", "    ") for problem in ordered)]), ordered)
+    lines = [f"{subject} has {counted(len(ordered), 'error')}:", *(fill(str(each), "  ", "    ") for each in ordered)]
+    return ConfigError("\n".join(lines), ordered)
 
 
 def shorten(value: object, width: int = 40) -> str:

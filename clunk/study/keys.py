@@ -190,8 +190,7 @@ def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | N
         elif place in unknown:
             findings.append((place, _unknown_key(place, unknown[place])))
         elif place not in unknown.values() and not is_list_of_wrong:
-            is_missing = detail["type"] == "missing"
-            findings.append((place, wrong_value(place, detail["input"], is_missing=is_missing)))
+            findings.append((place, wrong_value(place, detail["input"], is_missing=detail["type"] == "missing")))
     return None, sorted(findings, key=lambda finding: finding[0] not in unknown)
 
 

@@ -136,7 +136,7 @@ class DrivelineConfig(Table):
         if names is not None and len(names) != count:
             text = f"found {len(names)} names for {count} inertias; give each its name, or leave names out"
             yield ("names",), text
-        yield from ((("names", k), text) for k, text in misnamed(self.names or (), "inertia"))
+        yield from ((("names", k), text) for k, text in misnamed(names or (), "inertia"))
         shafts = [shaft.name for shaft in self.shafts]
         yield from ((("shafts", k, "name"), text) for k, text in misnamed(shafts, "shaft"))
 

@@ -85,8 +85,7 @@ class Record:
         ]
 
     def __repr__(self) -> str:
-        title = getattr(self, "title", "")
-        return as_text(f"clunk.{type(self).__name__} {title!r}".removesuffix(" ''"), self.rows())
+        return as_text(f"clunk.{type(self).__name__} {getattr(self, 'title', '')!r}".removesuffix(" ''"), self.rows())
 
 
 Row = Record | Mapping[str, Any] | tuple[str, Record | Mapping[str, Any]]

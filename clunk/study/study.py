@@ -130,7 +130,6 @@ def decisive_content(study: Study) -> Document:
 
 def digest(study: Study) -> str:
     """SHA-256 of everything that decides the results."""
-    decisive = decisive_content(study)
-    canonical = json.dumps(decisive, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    canonical = json.dumps(decisive_content(study), sort_keys=True, separators=(",", ":"), allow_nan=False)
     canonical = re.sub(r"-0\.0(?=[,\]}])", "0.0", canonical)  # zeros are equal, whatever their signs
     return hashlib.sha256(canonical.encode("utf-8")).hexdigest()

@@ -228,12 +228,11 @@ class Sampling(Table):
         """Points of the sample in the unit cube, (count, dimensions) float64 in [0, 1)."""
         from scipy.stats import qmc
 
-        generator = np.random.default_rng(self.seed)
         sampler = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}[self.method]
         with warnings.catch_warnings():
             # Sobol points of other counts than powers of two
             warnings.filterwarnings("ignore", "The balance properties of Sobol", UserWarning)
-            return sampler(dimensions, seed=generator).random(self.count)
+            return sampler(dimensions, seed=np.random.default_rng(self.seed)).random(self.count)
 
 
 class Sweep(Table):

@@ -91,8 +91,9 @@ def converted(table: Any, key: str, target: str, convert: Callable[[float], floa
     """
     if not isinstance(table, dict) or table.get(key) is None or table.get(target) is not None:
         return table
-    numbers = items_of(table[key]) or (table[key],)
-    values = [convert(each) if is_number(each) and each >= 0 else math.inf for each in numbers]
+    values = [
+        convert(each) if is_number(each) and each >= 0 else math.inf for each in items_of(table[key]) or (table[key],)
+    ]
     if max(values) > highest or math.inf in values:
         return {**table, target: 0.0}
     value = tuple(values) if isinstance(table[key], list | tuple) else values[0]

@@ -141,8 +141,10 @@ class Job:
                 for tile in parts.read():
                     reduction.add(tile)
                 if parts.discarded:
-                    discarded = counted(parts.discarded, "part")
-                    note(f"{discarded} of other versions, or damaged: their cells are run again", progress)
+                    note(
+                        f"{counted(parts.discarded, 'part')} of other versions, or damaged: their cells are run again",
+                        progress,
+                    )
                 if parts.taken_up:
                     note(f"{counted(parts.taken_up, 'cell')} were finished before; going on from there", progress)
             before = reduction.done
@@ -192,8 +194,7 @@ def _held(path: Path, study: Study) -> AnyMap:
     except StoreError as error:
         raise ClunkError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
     if held.config_digest != digest(study):
-        differing = differences(held.config, study)
-        raise ClunkError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
+        raise ClunkError(f"{path} holds the results of another config ({differences(held.config, study)}). {_WAYS_OUT}")
     if held.sequence.size != design_of(study).cells * len(study.lashes):
         raise ClunkError(f"{path} holds a part of this map. {_WAYS_OUT}")
     return held
