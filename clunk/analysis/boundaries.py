@@ -110,8 +110,7 @@ def boundaries(
     def values_at(places: Floats) -> Floats:
         return np.column_stack([*map(_values, part.axes, places.T)])
 
-    reports = reporting(progress, study, what="runs along the boundaries")
-    with engine_of(None, workers) as engine, reports as report:
+    with engine_of(None, workers) as engine, reporting(progress, study, what="runs along the boundaries") as report:
         keys = [axis.parameter for axis in part.axes]
         point_runs = PointRuns(study, keys, OF_RUNS[LABEL], position, engine, words=part.labels, progress=report)
         across, upward = map(_shares, part.axes)

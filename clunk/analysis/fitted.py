@@ -410,8 +410,7 @@ def _axis(fitted: Fitted, k: int) -> Axis:
     ends = ((values.min(), values.min() - beyond), (values.max(), values.max() + beyond))
 
     def is_allowed(value: float) -> bool:
-        before = {parameter: np.array([value])}
-        after = with_draws(fitted.study, before, fitted.priors, fitted.estimate)
+        after = with_draws(fitted.study, {parameter: np.array([value])}, fitted.priors, fitted.estimate)
         return key.allows(value) and key.allows(after[parameter].item())
 
     start, stop = (float(wide if is_allowed(wide) else end) for end, wide in ends)

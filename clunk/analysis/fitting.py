@@ -112,9 +112,9 @@ class Candidates:
 
     def _run_some(self, numbers: Floats) -> Records:
         """Run as many candidates as there is memory for."""
-        study = measuring(self.study, ())
         keys = [*dict.fromkeys([*self.axes, *(prior.parameter for prior in self.priors)])]
-        runner = Runner(study, keys, engine=self._engine)  # new: there are too many drivelines to keep
+        # new: there are too many drivelines to keep
+        runner = Runner(measuring(self.study, ()), keys, engine=self._engine)
         matches = np.zeros((len(numbers), len(self.points)), MATCH)
         flat, (candidate, point) = matches.reshape(-1), np.indices(matches.shape).reshape(2, -1)
         flat["label"], results = self._run(runner, numbers[candidate], self.points[point])
@@ -152,8 +152,7 @@ class Candidates:
         numbers : (m, d) of the candidates
         measured : (m, axes)
         """
-        at = dict(zip(self.axes, measured.T, strict=True))
-        values = with_draws(self.study, at, self.priors, numbers.T)
+        values = with_draws(self.study, dict(zip(self.axes, measured.T, strict=True)), self.priors, numbers.T)
         for key in self.axes:  # a change may leave its range, together with an offset
             allowed = located(self.study, key)[1]
             least = np.nextafter(allowed.lowest, np.inf) if allowed.above else allowed.lowest

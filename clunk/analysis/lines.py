@@ -237,8 +237,7 @@ class Lines:
         self._find_beside_crossings()
         self._follow()
         self._sharpen()
-        places = self.triangles.positions[self._wide()].mean(axis=1)
-        self.unresolved = np.concatenate([self.unresolved, places])
+        self.unresolved = np.concatenate([self.unresolved, self.triangles.positions[self._wide()].mean(axis=1)])
 
     def _follow(self) -> None:
         """Locate crossings and add nodes, until nothing waits."""
@@ -319,8 +318,7 @@ class Lines:
 
     def _mixed_edges(self, *, only_new: bool = False) -> Codes:
         """Keys of the edges whose ends have different labels, ascending."""
-        mixed = np.concatenate(self.triangles.mixed(only_new=only_new))
-        keys = np.unique(_edges(mixed))
+        keys = np.unique(_edges(np.concatenate(self.triangles.mixed(only_new=only_new))))
         first, second = ends_of(keys)
         return keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
 
@@ -388,8 +386,7 @@ class Lines:
         is_apart = (low["value"][1:] - high["value"][:-1] >= RESOLUTION) & self._may_cut() & (tolerance > TOLERANCE)
         is_parted = (edges[1:] != edges[:-1]) | is_apart
         low, high = low[np.append(True, is_parted)], high[np.append(is_parted, True)]
-        differ = low["outcome"] != high["outcome"]  # else a label without width
-        ends = np.stack([low, high], axis=1)[differ]
+        ends = np.stack([low, high], axis=1)[low["outcome"] != high["outcome"]]  # else a label without width
         return ends["cell"][:, 0], place(ends["cell"], ends["value"]), ends
 
     def _keep(self, keys: Codes, brackets: Floats, runs: Points) -> None:
@@ -428,9 +425,8 @@ class Lines:
 
     def _is_located(self, corners: Nodes) -> Bools:
         """Whether all crossings on the edges of triangles are located, one on each."""
-        edges = _edges(corners)
         labels = self.triangles.outcome[corners]
-        return ((labels == _following(labels)) | np.isin(edges, self.keys)).all(axis=1)
+        return ((labels == _following(labels)) | np.isin(_edges(corners), self.keys)).all(axis=1)
 
     def _is_off_chord(self, corners: Nodes) -> Bools:
         """Whether the line in triangles of two labels may be further from its chord than `CHORD`.

@@ -39,8 +39,7 @@ def paths_of(ends: Codes, labels: Codes, position: Callable[[Codes], Floats]) ->
     labels : (n, 2) codes on the left and on the right
     position : of nodes
     """
-    turned = labels[:, 0] > labels[:, 1]
-    begin, end = np.where(turned, ends.T[::-1], ends.T).tolist()
+    begin, end = np.where(labels[:, 0] > labels[:, 1], ends.T[::-1], ends.T).tolist()
     left, right = np.sort(labels, axis=1).T.tolist()
     after = {node: k for k, node in enumerate(begin) if node >= 0}
     reached = {node for node in end if node >= 0}

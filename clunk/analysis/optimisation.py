@@ -198,8 +198,7 @@ class Problem:
         points[: len(corners)] = corners  # which no search meets by chance
         values = self._run_allowed(points)
         if not 0.0 < self.size < math.inf:  # the config as it is fails, or tells no size
-            found = self.outcomes(points, values).value
-            self.size = np.median(abs(np.nan_to_num(found, posinf=1.0))) or 1.0
+            self.size = np.median(abs(np.nan_to_num(self.outcomes(points, values).value, posinf=1.0))) or 1.0
         return points, values
 
     def __call__(self, candidates: Floats) -> Outcomes:
@@ -261,8 +260,7 @@ class Problem:
 
     def _run(self, candidates: Floats) -> Floats:
         """Margin, NaN where one fails or 0, numbers, and how far each condition is from being met, (n, runs, each)."""
-        values = self._runner.values(self._columns(candidates))
-        results = self._runner.run(values, self._tell).of_lash(self._lash)
+        results = self._runner.run(self._runner.values(self._columns(candidates)), self._tell).of_lash(self._lash)
         self.runs += results.sequence.size
         fails = np.where(results.status == Status.OK, 0.0, np.nan)
         found = [results.margin, fails, *(quantity.compared(results) for quantity in self._numbers)]
@@ -272,8 +270,7 @@ class Problem:
             base, bound = condition.base, condition.bound
             if base is not None and base.type != YES_NO and isinstance(bound, float):
                 beyond = abs(base.compared(results) - bound) / (abs(bound) or 1.0)
-            is_met = condition.of_runs(results) == 1.0  # NaN where a run failed
-            found.append(np.where(is_met, 0.0, 0.1 + beyond))
+            found.append(np.where(condition.of_runs(results) == 1.0, 0.0, 0.1 + beyond))  # NaN where a run failed
         return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))
 
     def _tell(self, done: int, _total: int) -> None:

@@ -42,8 +42,16 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
     ratios = {name: of(study).tolist() for name, of in thresholds.items() if not (several or stages)}
     periods = dict(zip(study.lash_names, driveline.contact_periods.tolist(), strict=True))
     if as_json:
-        record = {**views, "thresholds": ratios, "inertias": driveline.names, "shuffle": shuffle, "stages": stages}
-        tables.print_record({**record, "contact_period": tables.of_lashes(periods)})
+        tables.print_record(
+            {
+                **views,
+                "thresholds": ratios,
+                "inertias": driveline.names,
+                "shuffle": shuffle,
+                "stages": stages,
+                "contact_period": tables.of_lashes(periods),
+            }
+        )
         return
     for k, stage in stages.items():
         click.echo(f"shaft {k} in stage {stage}, as before the load step")

@@ -101,7 +101,7 @@ def warn(study: Study, method: str | None = None) -> None:
         complain(f"note: {parameter} changes nothing in this model")
 
 
-def report_failures(results: AnyMap, how: str = "") -> None:
+def report_failures(results: AnyMap, how: str) -> None:
     """Print the failed cells by cause, and where the first few are; `how` goes after "failed"."""
     import numpy as np
 

@@ -57,8 +57,7 @@ class Subject:
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""
-        place = self._first.place(position(self._axes, cell))
-        return {parameter: float(value) for parameter, value in place.items()}
+        return {parameter: float(value) for parameter, value in self._first.place(position(self._axes, cell)).items()}
 
     def likelihood(self, cell: Numbers, lash: str) -> str:
         """The probability of each label in a cell of a tolerance map; empty for a regime map."""

@@ -237,8 +237,7 @@ class Workbench:
         """Hand the browser the config of what is shown as a download."""
         name = f"{PurePath(self._subject.name).stem or 'map'}-config.toml"
         if self._run is not None:
-            config = self._subject.config(self._run.values, self._run.numbers)
-            self._download.data = {"name": [name], "text": [config]}
+            self._download.data = {"name": [name], "text": [self._subject.config(self._run.values, self._run.numbers)]}
             what = f", clunk sweep {name} the map" if self._map else ""
             at = f" --at run={self._run.values[RUN]:g}" if self._subject.study.swept.samples else ""
             self._say(f"saved {name}: clunk simulate {name}{at} makes this run{what}")

@@ -129,8 +129,7 @@ def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, lashes: int) -> No
 
 def _looks(runs: Runs) -> Looks:
     """Colours and dashes of runs, alike for one name."""
-    names = dict.fromkeys(run.name for run in runs)
-    each = zip(names, cycle(LINE_COLOURS), cycle(_PATTERNS), strict=False)
+    each = zip(dict.fromkeys(run.name for run in runs), cycle(LINE_COLOURS), cycle(_PATTERNS), strict=False)
     return {name: {"color": colour, "linestyle": dashes, "linewidth": _LINE} for name, colour, dashes in each}
 
 

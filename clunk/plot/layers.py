@@ -221,8 +221,7 @@ class Layers:
     @property
     def doubts(self) -> Floats:
         """(n, axes) places of undecided cells, and of those that tracing left open."""
-        at = self.undecided.nonzero()
-        cells = [axis.values[k] for axis, k in zip(self.view.axes, at, strict=True)]
+        cells = [axis.values[k] for axis, k in zip(self.view.axes, self.undecided.nonzero(), strict=True)]
         return np.vstack([np.column_stack(cells), self.unresolved])
 
     @property
@@ -245,8 +244,7 @@ class Layers:
         regions, areas = self.codes.ravel(), np.full(self.codes.size, 1.0 / self.codes.size)
         if self.boundaries is not None:
             regions, areas = self.regions_of[self.boundaries.region_label], self.boundaries.region_area
-        counts = np.bincount(regions.astype(np.intp) - FAILED_CODE, areas, minlength=len(self.names) + 1)
-        return np.roll(counts, -1)
+        return np.roll(np.bincount(regions.astype(np.intp) - FAILED_CODE, areas, minlength=len(self.names) + 1), -1)
 
     @property
     def seen(self) -> list[str]:

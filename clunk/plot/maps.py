@@ -187,8 +187,7 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
         parted = (text.rpartition(" = ") for text in texts)  # units and words are no symbols
         names.append("\n".join(symbol_text(symbol) + plain(equals + value) for symbol, equals, value in parted))
     counts = [f"{axis.name}: {len(shown)} of {len(axis)} values" for axis, shown in zip(axes, values, strict=True)]
-    layers = replace(panels[0], caveats=(*counts, *results.caveats))
-    line = layers.subtitle(fixed_parameters(results))
+    line = replace(panels[0], caveats=(*counts, *results.caveats)).subtitle(fixed_parameters(results))
     return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
 
 

@@ -55,12 +55,11 @@ def page(results: AnyMap, digests: Sequence[tuple[str, str]]) -> str:
 
     Raises PlotError where more axes have several values than pictures show.
     """
-    parts = [part for name in results.lash_names for part in _part(results.at_lash(name), name)]
     provenance = [*((name.removesuffix("_version"), value) for name, value in results.attributes.items()), *digests]
     return _PAGE.format(
         title=escape(results.title.strip() or "Impact regimes"),
         style=_STYLE,
-        parts="\n".join(parts),
+        parts="\n".join(part for name in results.lash_names for part in _part(results.at_lash(name), name)),
         provenance=html_table(provenance),
         config=escape(results.config),
     )
