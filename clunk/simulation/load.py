@@ -68,8 +68,7 @@ def _lines(times: Floats, torques: Floats) -> Floats:
 def _held(durations: Floats, torques: Floats, rest: Floats) -> Floats:
     """(rows, P + 1, PIECE): each torque held for its duration, (rows, P), and then `rest`, (rows, 1)."""
     begins = np.pad(durations, ((0, 0), (1, 0))).cumsum(axis=1)
-    rows = max(len(begins), len(torques), len(rest))
-    pieces = np.zeros((rows, begins.shape[1], PIECE))
+    pieces = np.zeros((max(len(begins), len(torques), len(rest)), begins.shape[1], PIECE))
     pieces[..., BEGIN], pieces[:, :-1, LEVEL], pieces[:, -1:, LEVEL] = begins, torques, rest
     return pieces
 
@@ -112,8 +111,7 @@ def _divisor(time: Floats) -> Floats:
 
 def _rows(*pieces: tuple[Numbers, ...]) -> Floats:
     """(rows, P, PIECE): the columns of pieces, broadcast against each other; one row if all are numbers."""
-    columns = np.broadcast_arrays(*chain(*pieces))
-    return np.stack(columns, axis=-1).reshape(-1, len(pieces), PIECE)
+    return np.stack(np.broadcast_arrays(*chain(*pieces)), axis=-1).reshape(-1, len(pieces), PIECE)
 
 
 WAVES = {"smooth": "duration", "lag": "time_constant", "sine": "frequency"}  # profile -> key of how fast it moves
@@ -136,7 +134,7 @@ def wave_rates(load: Load, varied: Mapping[Place, Floats]) -> Floats | None:
     else:
         decay = 1.0 / _divisor(value)
     decay = np.where((swing == 0.0) & (decay == 0.0), 1.0, decay)  # a step: its wave, zero, may have any rate
-    return np.stack([np.stack([-decay, swing], axis=-1), np.stack([-swing, -decay], axis=-1)], axis=-2)
+    return np.stack([-decay, swing, -swing, -decay], axis=-1).reshape(*value.shape, 2, 2)
 
 
 def cases_of(study: Study, values: Mapping[str, Numbers] = MappingProxyType({}), count: int = 1) -> Cases:
