@@ -334,7 +334,6 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
             line = replace(line, shafts=product(line.shafts, basis), lashes=product(line.lashes, basis))
             matrices = line.matrices(closed=_in_contact(study, flow))
         chains.append(Chain(inertias, *matrices, *ties, parts))
-    held = held_inputs(driveline, system)
     system = system if driveline.varied else driveline_at(system, None)
     # no ramp that is no input
     states = slice(system.rates.shape[-1] if study.load.profile in WAVES else 2 * system.inertias)
@@ -345,7 +344,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     )
     if system.drift.size:
         system, chains = _rolling_apart(system, chains)
-    return build_flows(system, chains, held)
+    return build_flows(system, chains, held_inputs(driveline, system))
 
 
 def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Chain]]:
@@ -411,8 +410,7 @@ def steps_a_period(study: Study) -> float:
     RK4 is stable down to about 2 to 3, but below about 10 it damps the contact's own oscillation, and weak rebounds
     are lost. The restitution model has no such oscillation.
     """
-    system = build(study)
-    fastest = abs(np.linalg.eigvals(system.rates).imag).max()
+    fastest = abs(np.linalg.eigvals(build(study).rates).imag).max()
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
 
 

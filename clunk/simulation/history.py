@@ -255,8 +255,7 @@ def _before_load_step(
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
-    regime = regime_under(system, trajectory.events["regime"][0], inputs)
-    return _Phase(time, state + 0.0, regime, -1)  # no -0.0
+    return _Phase(time, state + 0.0, regime_under(system, trajectory.events["regime"][0], inputs), -1)  # no -0.0
 
 
 def _after_event(
