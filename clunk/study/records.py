@@ -167,8 +167,9 @@ def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterato
     else:
         if indent + widest > width:
             columns.append(columns.pop(widths.index(widest)))
+            widths.remove(widest)
+            widths.append(widest)
         right = [all(map(_is_number, column[1:])) for column in columns]
-        widths = [max(map(len, column)) for column in columns]
         for line in zip(*columns, strict=True):
             cells = zip(line, widths, right, strict=True)
             *first, last = (f"  {cell:{'>' if is_right else '<'}{wide}}" for cell, wide, is_right in cells)
