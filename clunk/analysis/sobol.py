@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clunk.core.status import Status
-from clunk.results.maps import Results
+from clunk.results.maps import QUANTILES, Results
 from clunk.results.quantities import TEXT, WHY_UNDEFINED, Quantity, measuring, quantity_of
 from clunk.study.arrays import Floats, Positions
 from clunk.study.document import dotted
@@ -26,7 +26,6 @@ from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 
 CONFIDENCE = 0.95  # of the intervals
-QUANTILES = (0.05, 0.5, 0.95)
 
 _ROUNDING = 1e-12  # of the largest value: runs no further from the median differ from it by rounding
 _RARE = 10  # runs that differ from the others: of fewer no shares are told
