@@ -116,7 +116,7 @@ class Candidates:
         # new: there are too many drivelines to keep
         runner = Runner(measuring(self.study, ()), keys, engine=self._engine)
         matches = np.zeros((len(numbers), len(self.points)), MATCH)
-        flat, (candidate, point) = matches.reshape(-1), np.indices(matches.shape).reshape(2, -1)
+        flat, (candidate, point) = matches.ravel(), np.indices(matches.shape).reshape(2, -1)
         flat["label"], results = self._run(runner, numbers[candidate], self.points[point])
         self._compare_impacts(flat, point, results)
         missed = np.flatnonzero(flat["label"] != self.wanted[point])
@@ -183,7 +183,7 @@ class Candidates:
         pairs, inverse = np.unique([wanted, codes], axis=1, return_inverse=True)
         sequences = [(self._flanks(one), self._flanks(other)) for one, other in pairs.T.tolist()]
         edits = [len(a) + len(b) - 2.0 * len(partners(a, b)) for a, b in sequences]
-        return np.array(edits)[inverse.reshape(-1)]
+        return np.array(edits)[inverse.ravel()]
 
     def _flanks(self, code: int) -> tuple[int, ...]:
         return () if code == FAILED_CODE else flanks_of_label(self.labels[code])

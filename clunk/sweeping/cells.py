@@ -289,7 +289,7 @@ class Grid:
             points, point_of = np.unique(combinations, axis=0, return_inverse=True)
         most = most_of_load(self.study)
         for batch, numbers in self.drivelines(points):
-            of_cells = numbers[point_of.reshape(-1)]
+            of_cells = numbers[point_of.ravel()]
             all_positions = np.flatnonzero(of_cells >= 0)
             for begin in range(0, all_positions.size, most):
                 positions = all_positions[begin : begin + most]
