@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from clunk.analysis.lines import cross
 from clunk.results.boundaries import NO_LABEL
 from clunk.study.arrays import Codes, Floats, LabelCodes
 
@@ -125,8 +126,8 @@ def regions_of(rings: list[Ring]) -> list[list[Ring]]:
 
 
 def _ring(label: int, vertices: Floats) -> Ring:
-    x, y = (vertices - vertices[0]).T
-    return Ring(label, vertices, 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+    places = vertices - vertices[0]
+    return Ring(label, vertices, 0.5 * cross(places[:-1], places[1:]).sum())
 
 
 def _goes_around(vertices: Floats) -> bool:
