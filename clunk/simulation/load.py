@@ -143,7 +143,7 @@ def cases_of(study: Study, values: Mapping[str, Numbers] = MappingProxyType({}),
     torque, pieces = loads_of(study.load, count, **swept)
     before = np.zeros((count, INPUTS + len(study.lashes) - 1))
     before[:, TORQUE] = torque
-    for k, (place, lash) in enumerate(zip(study.lash_places, study.lashes, strict=True)):
+    for k, (place, lash) in enumerate(study.placed_lashes):
         gap = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
         before[:, half_gap_of(k)] = np.deg2rad(gap) / 2
     return Cases(before, pieces, np.zeros(1, np.int64))

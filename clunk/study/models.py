@@ -377,6 +377,11 @@ class Config(Table):
         return tuple(("lash", k) for k in range(len(self.lash))) if isinstance(self.lash, tuple) else (("lash",),)
 
     @property
+    def placed_lashes(self) -> Iterator[tuple[Place, Lash]]:
+        """Each lash behind its place."""
+        return zip(self.lash_places, self.lashes, strict=True)
+
+    @property
     def lash_names(self) -> tuple[str, ...]:
         """The name of each lash."""
         return tuple(lash_name(k, lash.name) for k, lash in enumerate(self.lashes))

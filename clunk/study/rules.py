@@ -80,7 +80,7 @@ def _lashes(config: Config) -> Iterator[Finding]:
     """Require lashes whose names differ from each other and from numbers, and that have one contact model."""
     yield from (((*config.lash_places[k], "name"), text) for k, text in misnamed(config.lash_names, "lash"))
     first = config.lashes[0].contact.model
-    for place, lash in zip(config.lash_places, config.lashes, strict=True):
+    for place, lash in config.placed_lashes:
         if lash.contact.model != first:
             text = f"found {shorten(lash.contact.model)} beside {shorten(first)} of lash 1"
             yield (*place, "contact", "model"), f"{text}; all lashes of a driveline have one contact model"
@@ -131,7 +131,7 @@ def _sizes(config: Config) -> Iterator[Finding]:
         for lever in (1.0, shaft.ratio**2):
             springs += [(lever * stiffness, (*at, "stiffness")) for stiffness in shaft.stages]
             dampers.append((lever * shaft.damping, (*at, "damping")))
-    for at, lash in zip(config.lash_places, config.lashes, strict=True):
+    for at, lash in config.placed_lashes:
         for lever in (lash.radius**2, (lash.radius * lash.ratio) ** 2):
             springs.append((lever * (lash.contact.stiffness or 0.0), (*at, "contact", "stiffness")))
             dampers.append((lever * (lash.contact.damping or 0.0), (*at, "contact", "damping")))
@@ -361,7 +361,7 @@ LONGEST_CHANGE = 20.0  # times the run, that all loads but tables may take to ch
 def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
     """Sentences on what is odd in a config; given : keys of its load that a user has given, by name."""
     swept = {axis.parameter for axis in config.swept.axes}
-    for place, lash in zip(config.lash_places, config.lashes, strict=True):
+    for place, lash in config.placed_lashes:
         radius = dotted((*place, "radius"))
         if lash.radius > LARGEST_RADIUS:
             yield f"{radius} = {lash.radius:g} m; it is in meters, and {lash.radius / 1e3:g} if that was in mm"
