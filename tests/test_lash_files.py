@@ -98,7 +98,7 @@ def test_a_lash_is_taken_by_name_or_number_and_by_default_the_first(two):
     part = two.at({"load.ratio": 5.0})
     assert part.lashes == NAMES
     assert equal(part.of_lash("differential"), two.of_lash("differential").at({"load.ratio": 5.0}))
-    for map_, sentence in ((two, r'no lash "rear"; did you mean "gear"\? It'), (alone, r'1 to 1 or "lash 1"\.')):
+    for map_, sentence in ((two, r'no lash "rear"; did you mean "gear"\? It'), (alone, r'must be 1 or "lash 1"\.')):
         with pytest.raises(clunk.ConfigError, match=sentence):
             map_.of_lash("rear")
 
