@@ -25,6 +25,11 @@ def test_a_runner_without_keys_is_refused(single):
         clunk.Runner(single, [])
 
 
+def test_a_runner_takes_one_key_as_it_is(single):
+    alone, listed = (clunk.Runner(single, keys)([[1.0], [5.0]]) for keys in ("load.ratio", ["load.ratio"]))
+    assert np.array_equal(alone.severity, listed.severity)
+
+
 def test_values_are_asked_for_in_the_words_of_quantities(single):
     runs = clunk.run_points(single, {"load.ratio": [1.0, 5.0]})
     assert runs.values("severity<=8000").tolist() == [1.0, 0.0]

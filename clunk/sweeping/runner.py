@@ -31,7 +31,7 @@ class Runner:
     study : Study
         The values of all other keys; its sweep, fit and optimisation are left aside.
     keys : of str
-        Any numeric keys of the config.
+        Any numeric keys of the config, or one.
     workers : int, optional
         Threads; by default one for each core that this process may use.
     engine : optional
@@ -56,10 +56,10 @@ class Runner:
     """
 
     def __init__(
-        self, study: Study, keys: Sequence[str], *, workers: int | None = None, engine: Executor | None = None
+        self, study: Study, keys: Sequence[str] | str, *, workers: int | None = None, engine: Executor | None = None
     ) -> None:
         self.study = study.alone
-        self.keys = distinct(study, keys)
+        self.keys = distinct(study, [keys] if isinstance(keys, str) else keys)
         if not self.keys:
             raise ConfigError("A Runner needs a key or more, in which its runs differ.")
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
