@@ -432,6 +432,7 @@ BROKEN = [
     (f"{WHOLE}[sweep.axis]\n", "sweep.axis", 49, 'did you mean "axes"?'),
     (f"{ONE_RUN}[sweep]\naxes = []\n", "sweep.axes", 42, "an array of tables, [[sweep.axes]]"),
     ('preset = "boere-2008"\n', "preset", 1, '"preset" in [driveline]'),
+    (f'{PRESET}title = "Rig"\n', "driveline.title", 3, 'did you mean "title" above the first table?'),
     ('[driveline]\npreset = "boere-2080"\n', "driveline.preset", 2, 'did you mean "boere-2008"?'),
     (f"{PRESET}inertias = [1, 1, 1]\n", "lash.between[2]", None, "there is no inertia 4"),
     ("lash = 3\n", "lash", 1, "found 3; must be a table"),

@@ -196,7 +196,7 @@ solver.end_time = 11.35
 
 @pytest.mark.parametrize("step", [4.875e-4, 6e-5, 1.5e-5])
 def test_what_slips_no_faster_than_rounding_sticks(step):
-    """By rk4: the torque comes to rest at 1e-13 of its change each second, and two frictions on one twist with it."""
+    """By rk4: after 9 s the torque changes by less than 1e-12 of itself a second, and two frictions hold one twist."""
     run = simulate(study_from_text(CREEPING, overrides=['solver.method="rk4"', f"solver.step={step}"]))
     assert run.label == "CR(1)"
     assert len(changes(run)[0]) < 100  # some 50; else 2,000 and more

@@ -18,6 +18,7 @@ from clunk.results.export import save_history
 from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.simulation.history import sample
 from clunk.study.axes import ResultAxis, lash_axis
+from clunk.study.study import to_toml
 
 NAMES = ("gear", "differential")
 
@@ -178,6 +179,17 @@ def test_boundaries_of_a_lash_stay_with_it(tmp_path, monkeypatch):
     with pytest.raises(clunk.ClunkError, match="lash must be gear or joint, not 'jiont'"):
         again.at({"lash": "jiont"})
     assert again.at({}).boundaries is not None  # as `clunk plot` and `clunk report` without --at take it
+
+
+def test_a_sweep_with_the_lines_of_another_lash_tells_of_these_only(tmp_path, monkeypatch, command):
+    monkeypatch.setattr(lines, "_ON_ANY_MAP", 100_000)
+    (tmp_path / "two.toml").write_text(to_toml(rig(9, 5)))
+    sweep = "sweep", tmp_path / "two.toml", "-o", tmp_path / "two.h5", "--boundaries", "--lash"
+    for lash in ("gear", "joint"):
+        code, out, err = command(*sweep, lash)
+        assert code == 0
+        assert "boundaries" not in out
+        assert "boundaries: " in err
 
 
 def test_tolerances_and_sensitivities_know_the_lashes():

@@ -47,6 +47,12 @@ def problems(text: str, *overrides: str, folder=".") -> list[tuple[str, str]]:
 # --- What is right ---------------------------------------------------------------------------------------------------
 
 
+def test_a_tip_out_is_a_step():
+    torques = "static_torque = -1.0\nratio = 5.0"
+    step, tip_out = (study_from_text(config(f'profile = "{each}"\n{torques}')) for each in ("step", "tip-out"))
+    assert tip_out == step
+
+
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_profile_is_read_and_written(profile):
     text = config(f'profile = "{profile}"\n{NEEDED.get(profile, "")}')

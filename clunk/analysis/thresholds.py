@@ -162,12 +162,12 @@ class Thresholds(Design):
         outcome is no label, of labels, or of another kind than those that there are.
         """
         if word not in (FAILED, UNCERTAIN):
-            if isinstance(word, str) != isinstance(self.words[0], str):
+            if any(isinstance(word, str) != isinstance(each, str) for each in self.words):
                 raise ClunkError(f"{word} is no outcome; these are {listing([*map(str, self.words)])}.")
             try:
                 word = normalised_label(word) if isinstance(word, str) else word
             except ValueError as error:
-                raise ClunkError(f"{error}; labels are written like {self.words[0]}.") from None
+                raise ClunkError(f"{error}; labels are written like DS(1)SS(1).") from None
         names = {axis.variable: axis for axis in self.axes}
         if set(names) != set(at):
             raise ClunkError(

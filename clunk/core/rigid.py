@@ -218,7 +218,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
         clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * scale
         if now:
             _hold(system, held & ~(1 << lash), lash, x, 0.0)
-            if zero_guard < 0 and not clearly:
+            if zero_guard < 0 and not clearly:  # the torque is zero, though its rounding may pull
                 force = lash * system.functionals_per_lash + FORCE
                 zero_guard, zero_order = guard_of(system, successor, force, float(now)), 1
         elif not is_carried and zero_guard < 0 and (clearly or system.lash_count == 1):

@@ -132,7 +132,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             brake = weigh(system.frictions[k], system.inputs[0, :, input_of_friction(system, k)])
             most += (terms + system.friction_torques[k] * abs(brake)) * _STARTING_TIME
-            if abs(rate) >= at.within * most:
+            if abs(rate) >= at.within * most:  # also 0 by 0, of one that others hold: it does not stick for that
                 continue
         resting |= 1 << k
     failed = regime if ended >= 0 and event < 0 else -1
@@ -263,7 +263,8 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
     """Misfit of a friction at rest to its state in a regime, as a share of the terms; 0 where it fits.
 
     Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
-    it is `within` if the friction is about to leave it, which takes long to tell, and is asked at the limit only.
+    it is `within` if the friction is about to leave it, not by rounding alone: that takes long to tell, and is asked at
+    the limit only.
     """
     system, most, way = at.system, at.system.friction_torques[friction], 1.0
     state, functional, order = system.friction_states[regime, friction], rate_of_friction(system, friction), 2
