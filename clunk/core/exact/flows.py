@@ -124,10 +124,9 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     """
     (*many, count, driven), states = system.feedthrough.shape, system.rates.shape[-1]
     # before anything else: it is by these that drivelines differ in more than numbers, if they do
+    kinds = [(chain.rigid.shape, _held_motions(chain)) for chain in chains]
     groups = [
-        group
-        for shape in {chain.rigid.shape for chain in chains}
-        for group in _groups(chains, np.flatnonzero([chain.rigid.shape == shape for chain in chains]))
+        group for kind in set(kinds) for group in _groups(chains, np.flatnonzero([each == kind for each in kinds]))
     ]
     wave = states - chains[0].shift.shape[-2]
     fastest = [np.linalg.matrix_norm(each.scaled.generator).reshape(many[0], -1).max(axis=1) for each in groups]
@@ -221,6 +220,12 @@ def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
         yield from _groups(chains, np.delete(flows, first))
     else:
         yield group
+
+
+def _held_motions(chain: Chain) -> int:
+    """About how many motions springs hold in a flow of one driveline: those that hold as many are likely alike."""
+    stiffness = chain.stiffness
+    return int(np.linalg.matrix_rank(stiffness[(0,) * (stiffness.ndim - 2)], hermitian=True))
 
 
 def _in_rows(matrices: Sequence[FloatArray], drivelines: int) -> FloatArray:
