@@ -310,9 +310,10 @@ def test_columns_may_be_dotted_and_the_file_may_come_from_a_spreadsheet(tmp_path
     assert experiment.caveat == CAVEAT
 
 
-def test_semicolons_may_separate_and_commas_be_the_points(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_semicolons_or_tabs_may_separate_and_commas_be_the_points(mark: str, tmp_path: Path) -> None:
     content = "# Rig 2, Tip-out\nload.ratio;label;impact_time_1;impact_time_std\n2,5;SS(1);0,262;0,002\n5;DS(1);;\n"
-    one, other = read_experiment(written(tmp_path, content)).measurements
+    one, other = read_experiment(written(tmp_path, content.replace(";", mark))).measurements
     assert one == Measurement(3, (2.5,), "SS(1)", {"impact_time": {0: 0.262}}, {"impact_time": 0.002})
     assert other == Measurement(4, (5.0,), "DS(1)", {}, {})
 
@@ -332,7 +333,7 @@ HEADER = "# a comment\nload_ratio,lash_backlash_deg,label\n"
         ("load_ratio,lash_backlash_deg\n1,2\n", 1, "one named label"),
         ("label\nNI\n", 1, "must be columns"),
         ("load_ratio,load.ratio,label\n1,1,NI\n", 1, "more than one column load_ratio"),
-        ("load_ratio:label\n1:NI\n", 1, "separated by commas or semicolons"),
+        ("load_ratio:label\n1:NI\n", 1, "separated by commas, semicolons or tabs"),
         ("lash.backlash_deg [rad],label\n1,NI\n", 1, 'lash.backlash_deg is in degrees, not in "rad"'),
         ("load.ratio,label,impact_time_1 [ms]\n1,NI,\n", 1, 'impact_time_1 is in s, not in "ms"'),
         (HEADER + "1,2,NI\n\n1,two,NI\n", 5, 'lash_backlash_deg must be a finite number, not "two"'),

@@ -170,6 +170,9 @@ def test_a_trace_may_be_written_as_loggers_do(text, tmp_path):
         ("time (s),torque of the engine (N·m) ,gear [-]", []),
         ("Time [seconds],T [lbf.ft]", [' line 1: a column headed "T [lbf.ft]" is taken for torque in N m']),
         ("bench (3 of 4)\ntime,torque (engine)", []),
+        ("Time,Torque\nms,Nm", [' line 2: a column headed "ms" is taken for time in s']),
+        ("times,runs\ns, ft-lb ", [' line 2: a column headed " ft-lb " is taken for torque in N m']),
+        ("times,runs\n s ,N·m", []),
     ],
 )
 def test_a_trace_whose_headings_have_other_units_is_warned_of(heading, told, tmp_path):

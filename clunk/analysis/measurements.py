@@ -74,8 +74,8 @@ def is_experiment(path: FilePath) -> bool:
 def read_experiment(path: FilePath) -> Experiment:
     """Read measurements from a CSV file in UTF-8, or from one of `TABLES` by its name; a file of that name comes first.
 
-    Semicolons may separate the columns, and commas then stand for the point, as where logs have decimal commas. The
-    first line that is no comment (#) names the columns: one for each parameter, as in a results file
+    Semicolons or tabs may separate the columns, and commas then stand for the point, as where logs have decimal commas.
+    The first line that is no comment (#) names the columns: one for each parameter, as in a results file
     (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``. There may be measured
     quantities of the primary impacts besides, ``impact_time_1`` and so on (also ``impact_closing_speed_1`` and
     ``impact_severity_1``), blank where they were not measured, with their standard deviation, ``impact_time_std``.
@@ -95,7 +95,9 @@ def experiment_of(text: str, path: FilePath) -> Experiment:
     caveats = [each.split(":", 1)[1].strip() for each in comments if each.lower().startswith("caveat:")]
     # Blank in place of a comment, so that the reader's count of lines is the file's.
     rows = ["\n" if line.lstrip().startswith("#") else line for line in lines]
-    mark, point = (";", ",") if any(";" in row for row in rows) else (",", ".")
+    headings = next(filter(str.strip, rows), "")
+    mark = next((each for each in ",;\t" if each in headings), ",")
+    point = "." if mark == "," else ","
     reader = csv.reader(rows, delimiter=mark, strict=True)
     columns: list[str] = []
     measurements = []
@@ -129,8 +131,8 @@ def _columns(cells: list[str], where: str) -> list[str]:
     columns = [cell if _is_measured(cell) else variable_of(cell) for cell in cells]
     if "label" not in columns or all(map(_is_measured, columns)):
         raise ClunkError(
-            f"{where}: there must be columns, separated by commas or semicolons, of parameters, as load_ratio, and one "
-            "named label."
+            f"{where}: there must be columns, separated by commas, semicolons or tabs, of parameters, as load_ratio, "
+            "and one named label."
         )
     twice = [name for name in columns if columns.count(name) > 1]
     if twice:

@@ -47,7 +47,12 @@ _MOST_LEVELS = 1000
 _COLUMNS = "time (s) and torque (N m), separated by commas, semicolons or tabs"
 # and its units, without what is no letter
 _MEANT = ("time in s", ("s", "sec", "seconds")), ("torque in N m", ("nm",))
-_UNIT = re.compile(r"(\[[^\]]{1,15}\]|\([^)]{1,5}\))\s*$")  # of a heading: short, and behind it
+# of a heading: short, and behind it; or one of those that logs have, in a line of its own
+_UNIT = re.compile(
+    r"(\[[^\]]{1,15}\]|\([^)]{1,5}\))\s*$"
+    r"|^\s*([mµu]?s|min|h|[mk]?N ?[·*.]?c?m|(in|ft)[ ·*.-]?lbf?|lbf?[ ·*.-]?(in|ft))\s*$",
+    re.IGNORECASE,
+)
 _NUMBER = re.compile(r"[-+]?(\.?\d|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 
@@ -170,7 +175,7 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
 
     Tabs separate the columns, where the first line of numbers reads so, else semicolons, else commas; of numbers that
     commas do not separate, one may stand for the point. Lines that do not begin with a number are headings, and a
-    ClunkWarning tells of another unit in their brackets.
+    ClunkWarning tells of another unit in them, in brackets or in a line of its own.
 
     Raises
     ------
@@ -193,7 +198,7 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
                 continue
             for cell, (meant, units) in zip(row if len(row) > 1 else (), _MEANT, strict=False):
                 headed = _UNIT.search(cell)
-                if headed and re.sub(r"\W", "", headed[1]).lower() not in units:
+                if headed and re.sub(r"\W", "", headed[0]).lower() not in units:
                     text = f"{path}, line {reader.line_num}: a column headed {shorten(cell)} is taken for {meant}"
                     warnings.warn(text, ClunkWarning, stacklevel=2)
     except csv.Error as error:
