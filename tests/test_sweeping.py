@@ -176,6 +176,53 @@ class TestChaos:
         unflagged = sweep(random_study(9115, "solver.margin_tolerance=0.0"))
         assert not (unflagged.quality & QUALITY_UNDECIDED).any()
 
+    def test_where_numbers_of_inertias_decide_the_label_cells_are_undecided(self):
+        """Hundreds of touches of an undamped shaft's lashes: often as many, with the same label but at other times."""
+        text = """
+        [driveline]
+        inertias = [{}]
+        [[driveline.shafts]]
+        between = [{}]
+        ratio = 2.0
+        stiffness = 1100.0
+        damping = 0.0
+        [[driveline.shafts]]
+        between = [{}, "ground"]
+        damping = 2.0
+        [[lash]]
+        between = [{}]
+        backlash_deg = 0.8
+        radius = 0.05
+        contact = {{ stiffness = 7.7e7, damping = 57.0, separation = "force" }}
+        [[lash]]
+        between = [{}]
+        backlash_deg = 3.0
+        radius = 0.05
+        contact = {{ stiffness = 2.9e5, damping = 118.0, separation = "force" }}
+        [load]
+        on = {}
+        initial_torque = 100.0
+        final_torque = -20.0
+        [solver]
+        method = "exact"
+        end_time = 1.0
+        [[sweep.axes]]
+        parameter = "load.initial_torque"
+        start = 60.0
+        stop = 140.0
+        count = 81
+        """
+        one, other = (
+            sweep(study_from_text(text.format(*numbers)))
+            for numbers in (
+                ("0.13, 0.0086, 0.12, 67.0", "1, 2", 4, "2, 3", "3, 4", 1),
+                ("67.0, 0.12, 0.0086, 0.13", "4, 3", 1, "3, 2", "2, 1", 4),
+            )
+        )
+        differ = one.label_map != other.label_map
+        assert differ.any()
+        assert ((one.quality | other.quality)[differ] & QUALITY_UNDECIDED).all()
+
     def test_many_touches_that_damping_makes_forgotten_are_decided_by_the_margin(self):
         """Each touch keeps 0.9 of the speed, hundreds of them none."""
         text = f"""

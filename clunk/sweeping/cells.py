@@ -51,6 +51,7 @@ _IMPACTS = 16  # of a run in a lash, that there is room for at first
 _MANY_TOUCHES = 56
 _NUDGED = 1.0 + 1e-12  # 1e4 times rounding: 1e2 times leave some chaotic runs as they are
 _OUTCOME = ["pattern", "touches"]  # that other impacts change
+_MOVED = 1e-6  # of a time, 1e6 times as much as what it is _NUDGED by
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
 _AT_ONCE = 1 << 23  # events that runs may have which are taken at a time: of each second one an impact, 134 MB
 _STATES = 1 << 16  # those whose states there is room for at a time: 8 MB, which the caches nearly hold
@@ -303,7 +304,8 @@ class Grid:
         """Records and impacts, as the grid's layout has them, of the runs that were done before `stop` was set.
 
         A run of so many touches that these may have magnified rounding to the size of the gap is repeated from a
-        torque and gaps that differ by a little more than rounding: where it has other impacts, it is undecided.
+        torque and gaps that differ by a little more than rounding: where it has other impacts, or its last event is at
+        another time, it is undecided.
 
         room : for the events of each
         logs, states : of `kernel.Output`, or of no run; with states, what the config measures is measured
@@ -318,8 +320,9 @@ class Grid:
                 if len(others) < long.size:
                     cells, details = cells[:0], details[:0]
                 else:
-                    differ = (cells[_OUTCOME][long] != others[_OUTCOME]).any(axis=1)
-                    cells["quality"][long[differ]] |= QUALITY_UNDECIDED
+                    ends, other_ends = cells["last_event_time"][long], others["last_event_time"]
+                    differ = (cells[_OUTCOME][long] != others[_OUTCOME]) | (abs(ends - other_ends) > _MOVED * ends)
+                    cells["quality"][long[differ.any(axis=1)]] |= QUALITY_UNDECIDED
         if not len(states):
             return cells.ravel(), details
         return self._measured(batch, cases, kernel.Output(cells, details, logs, states), stop)
