@@ -16,6 +16,7 @@ from matplotlib.path import Path as Outline
 import clunk
 from clunk.analysis import lines
 from clunk.analysis.boundaries import boundaries
+from clunk.analysis.search import POINT
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.study.config import study_from_text
@@ -83,6 +84,33 @@ def test_each_vertex_is_where_single_runs_change(coarse):
             is_left = label_at(swept, (vertex + middle * left) * RANGE) == curve.left
             low, high = (low, middle) if is_left else (middle, high)
         assert abs(low) <= 1e-9
+
+
+@pytest.mark.parametrize(("width", "values"), [(8e-4, 9), (2e-3, 13)])
+def test_beside_a_chord_that_is_not_unresolved_a_label_changes(width, values):
+    """Bent bands in parallel, thinner than the cells that they cross: what parts one from another is no chord."""
+
+    def run(points):
+        across = 3.0 * (points[:, 1] - 0.9 * points[:, 0] - 0.05 * np.sin(5.0 * points[:, 0])) % 1.0
+        runs = np.zeros(len(points), POINT)
+        runs["outcome"] = across < 3.0 * width
+        runs["measure"] = np.minimum(across, abs(across - 3.0 * width))
+        return runs
+
+    shares = np.linspace(0.0, 1.0, values)
+    nodes = np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=-1).reshape(-1, 2)
+    traced = lines.Lines(lines.Triangles(shares, shares, run(nodes).reshape(values, values)), run, 25, 0)
+    traced.trace()
+    ends = traced.position(traced.segments()[0].ravel()).reshape(-1, 2, 2)
+    ends = ends[np.hypot(*np.diff(ends, axis=1)[:, 0].T) > 1e-3]
+    middle, along = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0]
+    normal = along[:, ::-1] * [-1.0, 1.0] / np.hypot(*along.T)[:, None]
+    beside = middle + np.linspace(-2e-4, 2e-4, 41)[:, None, None] * normal
+    labels = run(beside.reshape(-1, 2))["outcome"].reshape(41, -1)
+    in_cell = {*map(tuple, (traced.unresolved * (values - 1)).astype(int).tolist())}
+    is_told = [tuple(cell) not in in_cell for cell in (middle * (values - 1)).astype(int).tolist()]
+    assert sum(is_told) > 50
+    assert (labels != labels[0]).any(axis=0)[is_told].all()
 
 
 def test_junctions_do_not_depend_on_the_start(coarse, finer):

@@ -6,7 +6,8 @@ is expected two runs locate it. One operation refines what is not told well enou
 crossings of the same edge; on the far edge of a triangle whose line is further from its chord than `CHORD`, or which
 nodes on its other edges have made flat, as lines that leave by the far edge have no crossing there; and beside the
 crossings on the long edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
-When no line is left to follow, edges with a crossing are asked once for labels hidden beside it (`with_hidden`).
+When no line is left to follow, edges with a crossing are asked once for labels hidden beside it (`with_hidden`), and
+then flat triangles, too, whether their line is where its chord is.
 All that needs crossings to `_NEAR` only. Those that there are in the end are narrowed to the tolerance with the runs
 that are left, so that what lies where comes before its digits.
 
@@ -28,7 +29,7 @@ from clunk.study.arrays import Array, Bools, Codes, Floats, Nodes
 CHORD = 1.3e-4  # of the map, that a line may be off its chord
 JUNCTION = 5e-8  # of the map, a triangle in which three labels meet
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
-_MOST_ROUNDS = 128
+_MOST_ROUNDS, _LAST_ROUNDS = 128, 32  # of these, those in which flat triangles are asked too
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 4  # on an edge, that are told apart
 _LONG = 0.5  # of a triangle's longest edge
@@ -87,6 +88,12 @@ def cross(one: Floats, other: Floats) -> Floats:
 
 def _length(vectors: Floats) -> Floats:
     return np.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def _height(corners: Floats) -> Floats:
+    """The least height of triangles, (n,), whose corners are at some positions, (n, 3, 2)."""
+    sides = _following(corners) - corners
+    return abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
 
 
 def _append(rows: Array, more: Array) -> None:
@@ -222,7 +229,7 @@ class Lines:
     def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int, beside: int) -> None:
         self.triangles, self._run_points = triangles, run
         self._most_runs, self._beside = most_runs(_cost_of(triangles.runs), cost), beside
-        self._spent, self._rounds = 0, 0
+        self._spent, self._rounds, self._asks_flat = 0, 0, False
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._cuts: list[tuple[Codes, Floats, Points]] = []
         self.runs = np.zeros((0, 2), POINT)
@@ -235,6 +242,11 @@ class Lines:
             self._find_hidden(_edges(nodes), self.triangles.positions[nodes], self.triangles.runs[nodes])
         self._follow()
         self._find_beside_crossings()
+        self._follow()
+        self._rounds = max(self._rounds, _MOST_ROUNDS - _LAST_ROUNDS)
+        self._asks_flat = True
+        self.triangles.is_new[:] = _height(self.triangles.positions[self.triangles.corners]) <= CHORD
+        self._refine()
         self._follow()
         self._sharpen()
         self.unresolved = np.concatenate([self.unresolved, self.triangles.positions[self._wide()].mean(axis=1)])
@@ -405,22 +417,23 @@ class Lines:
         tip, begin, end = positions[several.T]
         far, length = end - begin, _length(end - begin)
         is_flat = (length > CHORD) & (abs(cross(begin - tip, far)) < _FLAT * length**2)
-        two = np.concatenate([two[self._is_off_chord(two)], several[is_flat]])
+        off, places = self._off_chord(two)
+        off, places = np.concatenate([off, several[is_flat]]), np.concatenate([places, 0.5 * (begin + end)[is_flat]])
         sides = np.stack([three, _following(three)], axis=2)
         lengths = _length(np.diff(positions[sides], axis=2)[:, :, 0])
         is_large = lengths.max(axis=1, initial=0.0) > JUNCTION
         three = three[is_large]
-        if not len(two) + len(three):
+        if not len(off) + len(three):
             return
         if not self._may_cut():
-            self.unresolved = np.concatenate([self.unresolved, positions[np.concatenate([two, three])].mean(axis=1)])
+            self.unresolved = np.concatenate([self.unresolved, positions[np.concatenate([off, three])].mean(axis=1)])
             return
         long = sides[is_large][lengths[is_large] > _LONG * lengths[is_large].max(axis=1, keepdims=True)]
         crossing = self.position(keys_of(*long.T))
         away = positions[long] - crossing[:, None]
         to_far_end = away[np.arange(len(long)), _length(away).argmax(axis=1)]
-        places = np.concatenate([positions[two[:, 1:]].mean(axis=1), crossing + _BESIDE * to_far_end])
-        keys, at = np.unique(keys_of(*np.concatenate([two[:, 1:], long]).T), return_index=True)
+        places = np.concatenate([places, crossing + _BESIDE * to_far_end])
+        keys, at = np.unique(keys_of(*np.concatenate([off[:, 1:], long]).T), return_index=True)
         self._cuts.append((keys, places[at], self._run(places[at])))
 
     def _is_located(self, corners: Nodes) -> Bools:
@@ -428,33 +441,54 @@ class Lines:
         labels = self.triangles.outcome[corners]
         return ((labels == _following(labels)) | np.isin(_edges(corners), self.keys)).all(axis=1)
 
-    def _is_off_chord(self, corners: Nodes) -> Bools:
-        """Whether the line in triangles of two labels may be further from its chord than `CHORD`.
+    def _off_chord(self, corners: Nodes) -> tuple[Nodes, Floats]:
+        """Triangles whose line may be off its chord by `CHORD`, with the edge to cut last, and where to cut it, (n, 2).
 
-        It is not where the labels are those of its sides as far from the chord, on the way from the corner of the other
-        label through the chord's middle.
+        It is not where the labels are those of its sides as far from the chord's middle, at a right angle to it, or
+        where the triangle ends before that. Else the far edge is cut; of flat triangles the edge on which another label
+        is, where it is, as two crossings are hidden there. What is as thin as `RESOLUTION` is not cut.
+
+        corners : of triangles of two labels, the one of the other label first
         """
-        positions = self.triangles.positions[corners]
         ends = self.position(keys_of(corners[:, :1], corners[:, 1:]).ravel()).reshape(-1, 2, 2)
-        chord, sides = ends[:, 1] - ends[:, 0], _following(positions) - positions
-        height = abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
-        is_off = (_length(chord) > CHORD) & (height > CHORD)
-        asked = np.flatnonzero(is_off)
-        if not asked.size or not self._may_run():
-            return is_off
-        tip, chord = positions[asked, 0], chord[asked]
-        way = 2.0 * (ends[asked].mean(axis=1) - tip)
-        apart = CHORD * _length(chord) / abs(cross(chord, way))
+        positions, labels = self.triangles.positions[corners], self.triangles.outcome[corners[:, :2]]
+        limit = np.where((labels == FAILED_CODE).any(axis=1), OFF_FAILURES, CHORD)  # told to less, see `narrow`
+        is_asked = (_length(ends[:, 1] - ends[:, 0]) > limit) & ((_height(positions) > limit) | self._asks_flat)
+        corners, ends, labels, limit = corners[is_asked], ends[is_asked], labels[is_asked], limit[is_asked, None]
+        positions = positions[is_asked]
+        places = positions[:, 1:].mean(axis=1)
+        if not len(corners) or not self._may_run():
+            return corners, places
+        chord, middle, sides = ends[:, 1] - ends[:, 0], ends.mean(axis=1), _following(positions) - positions
+        back = chord[:, ::-1] * [1.0, -1.0] / _length(chord)[:, None]  # from the corner of the other label
+        way = back * _length(sides).max(axis=1, keepdims=True)
         lines = Crossings(self.brackets, self.runs["outcome"])
-        expected, error = lines.continued(tip, way, self.triangles.outcome[corners[asked, :2]], ends[asked]).T
-        is_near = abs(expected - 0.5) + error < 0.5 * apart
-        is_off[asked[is_near]] = False
-        asked, tip, way, apart = (each[~is_near] for each in (asked, tip, way, apart))
-        shares = np.clip(0.5 + apart[:, None] * [-1.0, 1.0], 0.0, 1.0)
-        places = tip[:, None] + shares[..., None] * way[:, None]
-        labels = self._run(places.reshape(-1, 2))["outcome"].reshape(-1, 2)
-        is_off[asked] = (labels != self.triangles.outcome[corners[asked, :2]]).any(axis=1)
-        return is_off
+        expected, error = lines.continued(middle - 0.5 * way, way, labels, ends).T
+        is_near = (abs(expected - 0.5) + error) * _length(way) < 0.5 * CHORD
+        leaves = cross(sides, back[:, None])[:, None] * [[1.0], [-1.0]]  # ahead and back, through each side
+        inside = cross(sides, middle[:, None] - positions)[:, None]
+        reach = np.divide(inside, leaves, out=np.full(leaves.shape, np.inf), where=leaves > 0.0)
+        begins, reach = reach.argmin(axis=2), reach.min(axis=2)
+        is_thin, is_flat = reach <= RESOLUTION, reach < limit
+        apart = np.where(is_thin | ~is_flat, limit, reach)
+        asked = np.flatnonzero(~is_near | (self._asks_flat & is_flat.any(axis=1)))
+        at_ends, beside = (
+            middle[asked, None] + (each[asked] * [-1.0, 1.0])[..., None] * back[asked, None] for each in (reach, apart)
+        )
+        is_off = self._run(beside.reshape(-1, 2))["outcome"].reshape(-1, 2) != labels[asked]
+        self.unresolved = np.concatenate([self.unresolved, middle[asked[(is_off & is_thin[asked]).any(axis=1)]]])
+        is_off &= ~is_thin[asked]
+        off = np.flatnonzero(is_off.any(axis=1))
+        side, asked = 1 - (is_off & is_flat[asked])[off, 0], asked[off]
+        corners, places = corners[asked], places[asked]
+        if self._asks_flat:
+            corners = np.take_along_axis(corners, (begins[asked, side, None] + [2, 0, 1]) % 3, 1)
+            begin, end = self.triangles.positions[corners[:, 1:]].swapaxes(0, 1)
+            along, length = end - begin, _length(end - begin)
+            share = ((at_ends[off, side] - begin) * along).sum(axis=1) / length**2
+            share[abs(share - 0.5) * length > 0.5 * length - RESOLUTION] = 0.5  # at a node, or beyond it
+            places = begin + share[:, None] * along
+        return corners, places
 
     def _wide(self) -> Nodes:
         """Triangles with an edge whose crossing is not located, (n, 3)."""
