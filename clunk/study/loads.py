@@ -16,7 +16,7 @@ from pydantic import Field
 
 from clunk.study.document import read_text
 from clunk.study.errors import ClunkWarning, ConfigError, listing, shorten
-from clunk.study.tables import Finding, Inertia, NotNegative, Positive, Quantity, Table, Text
+from clunk.study.tables import Findings, Inertia, NotNegative, Positive, Quantity, Table, Text
 
 # The torques before and after the load step are given by both of the first, or by both of the second.
 TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
@@ -103,7 +103,7 @@ class Load(Table):
     file: Annotated[Text | None, Field(description="the path of a trace: lines of time (s), torque (N m)")] = None
     step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require the keys that the profile needs, its torques given in one way, and times in order."""
         given = tuple(key for pair in TORQUES for key in pair if getattr(self, key) is not None)
         if self.profile == "table":
@@ -120,7 +120,7 @@ class Load(Table):
             yield ("levels",), text
         yield from self._points()
 
-    def _points(self) -> Iterator[Finding]:
+    def _points(self) -> Findings:
         """Require as many torques as times, in order, or a file in place of both."""
         times, torques = self.times, self.torques
         if self.file is not None:

@@ -19,7 +19,7 @@ from clunk.study.tables import (
     MOST_DRAWS,
     DrawCount,
     Ends,
-    Finding,
+    Findings,
     Inertia,
     NotNegative,
     NotZero,
@@ -101,7 +101,7 @@ class Shaft(Table):
         of_bearing |= {"damping": 0.0} if "friction" in shaft else {}
         return of_bearing | shaft
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """The stiffness is given once."""
         if self.stiffness_per_deg is not None:
             yield (), "stiffness and stiffness_per_deg are given together; give one of the two"
@@ -130,7 +130,7 @@ class DrivelineConfig(Table):
     names: Annotated[tuple[Text, ...], Field(description="a list of names, one for each inertia")] | None = None
     shafts: tuple[Shaft, ...] = ()
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require a name for each inertia or for none, which differ from each other, from numbers and from ground."""
         count, names = len(self.inertias), self.names
         if names is not None and len(names) != count:
@@ -159,7 +159,7 @@ class Contact(Table):
     restitution: Annotated[float, Field(ge=0, le=1), Quantity("coefficient of restitution", "e", "1")] = 0.5
     locking_speed: Annotated[Positive | None, Quantity("locking speed", "v", "rad/s")] = None
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require stiffness and damping of flanks that indent."""
         for key, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
             if self.model == "indentation" and getattr(self, key) is None:
@@ -189,7 +189,7 @@ class Lash(Table):
         radius = number if is_number(number) and number > 0.0 else math.inf  # else it has an error of its own
         return converted(lash, "gap_mm", "backlash_deg", lambda gap: _degrees(gap, radius), 360.0)
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """The gap is given once, and is no more than a turn."""
         if self.gap_mm is None:
             return
@@ -315,7 +315,7 @@ class FreeParameter(Table):
         """The keys that take the number."""
         return self.parameter if isinstance(self.parameter, tuple) else (self.parameter,)
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require low < high."""
         if not self.low < self.high:
             yield ("high",), f"found {self.high:g}; must be greater than low = {self.low:g}"

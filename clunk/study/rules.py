@@ -20,7 +20,7 @@ from clunk.study.loads import PROFILES, TORQUES, Load, uses
 from clunk.study.models import OF_IMPACTS, Config, FreeParameter, Part, part_of
 from clunk.study.parameters import drawn_numbers, located, nominal_value, with_values
 from clunk.study.sweeps import Draw
-from clunk.study.tables import Finding, Table, misnamed
+from clunk.study.tables import Finding, Findings, Table, misnamed
 
 # Names in results files and of quantities, all of results/quantities.csv among them, that no measure can have
 _TAKEN = {
@@ -51,7 +51,7 @@ def broken_rules(config: Config) -> list[Finding]:
     return [*_of_a_run(config), *_varied(config), *_measured(config)] or [*_reached(config)]
 
 
-def _of_a_run(config: Config) -> Iterator[Finding]:
+def _of_a_run(config: Config) -> Findings:
     """Findings of the rules that each run must keep."""
     for rule in (_lashes, _limits, _sizes):
         yield from rule(config)
@@ -76,7 +76,7 @@ def complaint(parameter: str, config: Config) -> str | None:
 # --- Lashes, limits, sizes --------------------------------------------------------------------------------------------
 
 
-def _lashes(config: Config) -> Iterator[Finding]:
+def _lashes(config: Config) -> Findings:
     """Require lashes whose names differ from each other and from numbers, and that have one contact model."""
     yield from (((*config.lash_places[k], "name"), text) for k, text in misnamed(config.lash_names, "lash"))
     first = config.lashes[0].contact.model
@@ -107,7 +107,7 @@ def _stages(config: Config) -> int:
     return math.prod(len(shaft.stages) for shaft in config.driveline.shafts)
 
 
-def _limits(config: Config) -> Iterator[Finding]:
+def _limits(config: Config) -> Findings:
     """Require a run of at least one step by rk4, and no more steps, periods of the load and regimes than can be run."""
     end, frequency = config.solver.end_time, config.load.frequency or 0.0
     step = config.solver.step if config.solver.method == "rk4" else end  # exact takes none
@@ -121,7 +121,7 @@ def _limits(config: Config) -> Iterator[Finding]:
     yield from ((place, text.format(value, most)) for value, most, place, text in limits if value > most)
 
 
-def _sizes(config: Config) -> Iterator[Finding]:
+def _sizes(config: Config) -> Findings:
     """Require inertias, springs and dampers that double precision can add to one another."""
     masses = [(mass, ("driveline", "inertias", k)) for k, mass in enumerate(config.driveline.inertias)]
     springs = []
@@ -162,7 +162,7 @@ def _is_impulsive(part: Part, config: Config) -> bool:
     return config.has_rigid_flanks and part.element == "lash"
 
 
-def _measured(config: Config) -> Iterator[Finding]:
+def _measured(config: Config) -> Findings:
     """Require names that differ, and parts that there are; and no acceleration that an impulse makes infinite."""
     names = [measure.name for measure in config.measures]
     taken = _TAKEN | {variable_of(axis.parameter) for axis in config.swept.axes}
@@ -198,7 +198,7 @@ def varied_tables(config: Any) -> list[tuple[Place, Any]]:
     ]
 
 
-def _varied(config: Config) -> Iterator[Finding]:
+def _varied(config: Config) -> Findings:
     """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
     swept = {axis.parameter for axis in config.swept.axes}
     for table, verb in _VARIED.items():
@@ -264,7 +264,7 @@ class Given(NamedTuple):
 Case = dict[str, Given]  # by parameter
 
 
-def _reached(config: Config) -> Iterator[Finding]:
+def _reached(config: Config) -> Findings:
     """Require the rules of a run where swept, drawn, fitted and free keys have their least and greatest values.
 
     Of swept and drawn keys every two have theirs together, too.

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any, TypeVar, cast
 
@@ -16,7 +16,7 @@ from clunk.study.models import NOT_OF_A_RUN, Config
 from clunk.study.parameters import located, with_values
 from clunk.study.records import as_text
 from clunk.study.rules import broken_rules
-from clunk.study.tables import Finding
+from clunk.study.tables import Findings
 
 
 class Study(Config):
@@ -25,7 +25,7 @@ class Study(Config):
     Made by `load_study`, `study_from_text` and `replace_values`; built by hand, it is held to the same rules.
     """
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require the rules that tie tables to one another; see `clunk.study.rules`."""
         yield from broken_rules(self)
 

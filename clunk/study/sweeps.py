@@ -8,7 +8,7 @@ import functools
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ from pydantic import Field, WithJsonSchema, model_validator
 
 from clunk.study.arrays import Floats
 from clunk.study.errors import listing
-from clunk.study.tables import LONGEST_AXIS, DrawCount, Finding, Positive, Seed, Table
+from clunk.study.tables import LONGEST_AXIS, DrawCount, Findings, Positive, Seed, Table
 
 LARGEST_GRID = 2**31  # cells
 _SPAN = ("start", "stop", "count", "scale")  # of an axis, instead of its values
@@ -61,7 +61,7 @@ class Axis(Varied):
         stop = {"stop": axis["start"]} if axis.get("count") == 1 else {}
         return {"scale": "linear", **stop, **{key: value for key, value in axis.items() if value is not None}}
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require values, or a start, stop and count that make a span."""
         start, stop, count = self.start, self.stop, self.count
         given = tuple(key for key in ("values", *_SPAN) if getattr(self, key) is not None)
@@ -146,7 +146,7 @@ class Draw(Varied):
     sigma: Positive | None = None
     mode: float | None = None
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require the numbers of the distribution and no others, low < high, and the mode from low to high."""
         needed, possible = _NUMBERS[self.distribution]
         given = [name for name in _OF_DISTRIBUTIONS if getattr(self, name) is not None]
@@ -253,7 +253,7 @@ class Sweep(Table):
     sampling: Sampling = Sampling()
     boundaries: bool | None = None
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Require something to run, tables that go together, and no more cells than allowed."""
         if not (self.axes or self.samples or self.tolerances):
             yield ("axes",), "missing; must be an array of tables, [[sweep.axes]], or else [[sweep.samples]]"

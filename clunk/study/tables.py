@@ -25,6 +25,7 @@ from clunk.study.document import Place, dotted, items_of, value_at
 from clunk.study.errors import listing, nearest, shorten
 
 Finding = tuple[Place, str]  # a place, and what is wrong there
+Findings = Iterator[Finding]
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_DRAWS = 1_000_000  # of a sample
 LARGEST_SIZE = 1e30  # of positive numbers, and the smallest is its inverse
@@ -44,7 +45,7 @@ class Table(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
-    def contradictions(self) -> Iterator[Finding]:
+    def contradictions(self) -> Findings:
         """Yield what is wrong between keys that are sound by themselves, at places in this table."""
         yield from ()
 
