@@ -27,7 +27,7 @@ from clunk.results.boundaries import (
 from clunk.results.maps import AnyMap, Results
 from clunk.results.quantities import LABEL, OF_RUNS
 from clunk.study.arrays import Codes, Floats, Records
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.errors import ClunkError
 from clunk.study.models import lash_position
 from clunk.study.study import Study
@@ -111,7 +111,7 @@ def boundaries(
         return np.column_stack([*map(_values, part.axes, places.T)])
 
     with engine_of(None, workers) as engine, reporting(progress, study, what="runs along the boundaries") as report:
-        keys = [axis.parameter for axis in part.axes]
+        keys = parameters_of(part.axes)
         point_runs = PointRuns(study, keys, OF_RUNS[LABEL], position, engine, words=part.labels, progress=report)
         across, upward = map(_shares, part.axes)
         nodes = np.zeros(part.sequence.shape, POINT)

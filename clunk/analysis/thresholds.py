@@ -41,7 +41,7 @@ from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, normalised_label
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import lash_position
@@ -282,7 +282,7 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     Raises ClunkError where there are no thresholds along the key.
     """
     axes = grid_axes(study, "Thresholds")
-    names = [axis.parameter for axis in axes]
+    names = parameters_of(axes)
     (along,) = numbered([along], study)
     if along not in names:
         likely = None if along in spellings(study).values() else nearest(along, names)

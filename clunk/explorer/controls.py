@@ -32,7 +32,7 @@ _STEPS = 50  # of a slider at least
 _FEWEST = 5  # steps of one for whole numbers
 
 
-def adjustable(study: Study, swept: set[str]) -> dict[str, float]:
+def adjustable(study: Study, swept: Sequence[str]) -> dict[str, float]:
     """Keys of a study that a slider may change, with their values; those that are looked for first come first."""
     values = {key: nominal_value(study, key) for key in parameters(study) if key not in swept}
     known = {key: value for key, value in values.items() if math.isfinite(value) and not is_unused(study, key)}
@@ -63,7 +63,7 @@ class Controls:
     """
 
     def __init__(
-        self, study: Study, axes: Sequence[ResultAxis], swept: set[str], on_change: Callable[[], None], shown: int
+        self, study: Study, axes: Sequence[ResultAxis], swept: Sequence[str], on_change: Callable[[], None], shown: int
     ) -> None:
         self._study, self._on_change, self._is_setting = study, on_change, False
         self._config = adjustable(study, swept)

@@ -12,7 +12,7 @@ from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
-from clunk.study.axes import LASH, RUN, ResultAxis
+from clunk.study.axes import LASH, RUN, ResultAxis, parameters_of
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, nominal
 from clunk.study.errors import ClunkError
@@ -119,7 +119,7 @@ class Subject:
 
     def _study_of_map(self, cell: Numbers, numbers: Numbers) -> Study:
         """The study whose sweep is the map that is shown, at a cell's values of the other axes."""
-        shown = {axis.parameter for axis in self.plane}
+        shown = parameters_of(self.plane)
         fixed = {key: value for key, value in self.values(cell).items() if key not in shown}
         if self._has_runs:
             fixed = {axis.parameter: fixed[axis.parameter] for axis in self._axes if axis.parameter in fixed}

@@ -24,7 +24,7 @@ from clunk.plot.style import FAINT_INK
 from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, TEXT, quantities_of
-from clunk.study.axes import RUN
+from clunk.study.axes import RUN, parameters_of
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import compiling_note, warm_up
 
@@ -109,7 +109,7 @@ class Workbench:
 
         self._newest_run = Newest("run", self._complain_soon)
         self._newest_map = Newest("map", self._complain_soon)
-        swept = {axis.parameter for axis in subject.swept}
+        swept = parameters_of(subject.swept)
         shown = 4 if self._map else 12
         self._controls = Controls(subject.study, [*subject.plane, *subject.slices], swept, self._on_change, shown)
         self._listen(link)  # of what is listened to once it is in the document, Bokeh does not tell
@@ -253,7 +253,7 @@ class Workbench:
 
     def _values(self, cell: Cell) -> dict[str, float]:
         """Values of all axes."""
-        plane = (axis.parameter for axis in self._subject.plane)
+        plane = parameters_of(self._subject.plane)
         return self._controls.cell | dict(zip(plane, cell, strict=True))
 
     def _request_run(self) -> None:

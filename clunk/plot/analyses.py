@@ -23,7 +23,7 @@ from clunk.plot.style import INK, LINE_COLOURS, Look
 from clunk.results.labels import FAILED, FAILED_CODE, primary_impacts
 from clunk.results.maps import Results
 from clunk.results.quantities import quantity_of
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.designs import axis_of
 from clunk.study.parameters import quantity
 from clunk.study.records import counted, fill, words
@@ -109,7 +109,7 @@ def measured_on_maps(fitted: Fitted) -> Figure:
 def _with_points(results: Results, points: Sequence[tuple[Mapping[str, float], str, bool]]) -> Layers:
     """The layers of a map with measured points: values by parameter, label, and whether the model has it there."""
     layers = Layers.of(results, View.of_plane(results))
-    x, y = (axis.parameter for axis in layers.view.axes)
+    x, y = parameters_of(layers.view.axes)
     return replace(layers, points=tuple(Measured(at[x], at[y], label, is_met) for at, label, is_met in points))
 
 
@@ -120,7 +120,7 @@ def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis:
     """The axis with several values beside the key. Raises PlotError where there is none, or more than one."""
     several = [axis for axis in axes if len(axis) > 1 and axis.parameter not in (DRAW, QUANTILE)]
     if len(several) > 1:
-        names = " and ".join(axis.parameter for axis in several)
+        names = " and ".join(parameters_of(several))
         raise style.PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
     if not several:
         raise style.PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")

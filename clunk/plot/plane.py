@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from clunk.plot.style import MINUS, PlotError, bare, capital, plain, symbol_text
 from clunk.results.maps import Map
 from clunk.study.arrays import Array, Floats, Positions
-from clunk.study.axes import RUN, ResultAxis
+from clunk.study.axes import RUN, ResultAxis, parameters_of
 from clunk.study.parameters import numbered
 
 _X = "load.ratio"  # from left to right wherever it is an axis
@@ -44,7 +44,7 @@ class View(NamedTuple):
 
         Raises PlotError where the map has more axes, or other parameters.
         """
-        swept = [axis.parameter for axis in drawn_axes(drawn)]
+        swept = parameters_of(drawn_axes(drawn))
         if not any(axis.parameter == RUN and len(axis) > 1 for axis in drawn.axes):
             if x is not None or y is not None:
                 raise PlotError(
@@ -54,7 +54,7 @@ class View(NamedTuple):
             return cls.of_grid(drawn)
         if names := [name for name in (x, y) if name is not None]:
             return cls.of_points(drawn, numbered(names, drawn.tables))
-        coordinates = sorted((axis.parameter for axis in drawn.coordinates), key=lambda name: name not in USUAL)
+        coordinates = sorted(parameters_of(drawn.coordinates), key=lambda name: name not in USUAL)
         return cls.of_points(drawn, [*(name for name in swept if name != RUN), *coordinates][:2])
 
     @classmethod
@@ -70,8 +70,8 @@ class View(NamedTuple):
         """The view of a map over its one or two swept axes. Raises PlotError where it has more."""
         swept = drawn_axes(drawn)
         if len(swept) > 2:
-            names = ", ".join(axis.parameter for axis in swept)
-            surplus = " and ".join(axis.parameter for axis in parted_axes(swept)[1])
+            names = ", ".join(parameters_of(swept))
+            surplus = " and ".join(parameters_of(parted_axes(swept)[1]))
             raise PlotError(
                 f"These results sweep {len(swept)} axes ({names}) and a map shows two: choose one value of {surplus} "
                 "(--at), or draw a map for each (--facet)."
@@ -87,7 +87,7 @@ class View(NamedTuple):
         Raises PlotError where one does not change, or cells that differ in a dimension that is not drawn would lie on
         each other.
         """
-        dimensions = [axis.parameter for axis in drawn.axes]
+        dimensions = parameters_of(drawn.axes)
         changing = {axis.parameter: axis for axis in (*drawn.parameters, *drawn.axes) if len(axis) > 1}
         for name in names:
             if name not in changing:
@@ -139,7 +139,7 @@ def drawn_axes(drawn: Map) -> list[ResultAxis]:
 
 def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
     """Parameters with one value: axes, and a single run's coordinates."""
-    shown = [axis.parameter for axis in drawn_axes(drawn)]
+    shown = parameters_of(drawn_axes(drawn))
     return tuple(axis for axis in drawn.parameters if len(axis) == 1 and axis.parameter not in shown)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.netcdf import Variable, flags, meanings_of
 from clunk.study.arrays import Array, Counts, Flanks, Floats, LabelCodes
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.records import Rows, as_text, counted
 
 EVENTS = (
@@ -169,7 +169,7 @@ class Boundaries:
 
     def meeting_rows(self) -> list[dict[str, str]]:
         """Junctions with the labels that meet, by heading."""
-        names = [axis.parameter for axis in self.axes]
+        names = parameters_of(self.axes)
         return [
             {name: f"{value:.10g}" for name, value in zip(names, place.tolist(), strict=True)}
             | {"labels that meet": ", ".join(labels)}
@@ -195,7 +195,7 @@ class Boundaries:
         features += [("Point", place, {"unresolved": True}) for place in self.unresolved.tolist()]
         return {
             "type": "FeatureCollection",
-            "axes": [axis.parameter for axis in self.axes],
+            "axes": parameters_of(self.axes),
             **({"lash": self.lash} if self.lash else {}),
             "features": [
                 {"type": "Feature", "geometry": {"type": shape, "coordinates": points}, "properties": properties}

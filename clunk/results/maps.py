@@ -29,7 +29,7 @@ from clunk.results.quantities import (
     quantity_of,
 )
 from clunk.study.arrays import Array, Counts, Floats, Integers
-from clunk.study.axes import LASH, ResultAxis
+from clunk.study.axes import LASH, ResultAxis, parameters_of
 from clunk.study.designs import Design
 from clunk.study.document import value_at
 from clunk.study.errors import ClunkError
@@ -161,7 +161,7 @@ class Map(Design, ABC):
 
         Raises ClunkError where a name is not an axis, or a value lies beyond it.
         """
-        names = [axis.parameter for axis in self.axes]
+        names = parameters_of(self.axes)
         index = [slice(None)] * len(names)
         for parameter, value in zip(numbered(values, self.tables), values.values(), strict=True):
             if parameter not in names:
@@ -344,7 +344,7 @@ class Results(Map):
         >>> cell["impact_time"].round(4)  # s after the load step
         array([0.1191, 0.2613, 0.565 ])
         """
-        names = [axis.parameter for axis in self.axes]
+        names = parameters_of(self.axes)
         if set(numbered(values, self.tables)) != set(names):
             raise ClunkError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
         part = self.at(values)

@@ -102,6 +102,11 @@ class ResultAxis:
         return np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0
 
 
+def parameters_of(axes: Iterable[ResultAxis]) -> list[str]:
+    """The parameter of each axis."""
+    return [axis.parameter for axis in axes]
+
+
 def run_axis(along: Iterable[ResultAxis]) -> ResultAxis:
     """The dimension of runs along which these parameters change together."""
     along = tuple(along)

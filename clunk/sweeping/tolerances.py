@@ -15,7 +15,7 @@ from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import QUANTILES, ToleranceMap
 from clunk.study.arrays import Array, Cells, Floats, LabelCodes
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.designs import along_run
 from clunk.study.parameters import drawn_numbers, nominal_value, quantity, with_draws
 from clunk.study.study import Study
@@ -49,7 +49,7 @@ class SampleGrid(Grid):
     def __init__(self, study: Study) -> None:
         super().__init__(study)
         self._tolerances = study.swept.tolerances
-        keys = dict.fromkeys(axis.parameter for axis in self.design.parameters)
+        keys = dict.fromkeys(parameters_of(self.design.parameters))
         keys |= dict.fromkeys(draw.parameter for draw in self._tolerances)
         alone = study.but(sweep=None, solver=study.solver.but(margin_tolerance=0.0))
         self._of_runs = Grid(alone, along_run((key, np.zeros(1)) for key in keys))
