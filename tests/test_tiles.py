@@ -8,6 +8,7 @@ from conftest import NOMINAL
 from test_sweeping import equal, figure_3_4
 
 from clunk.api import run_points
+from clunk.core import tile as kernel
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
@@ -58,9 +59,9 @@ def test_impacts_that_find_no_room_get_it(method, monkeypatch):
     study = study_from_text(NOMINAL, overrides=settings)
     grid = Grid(study, design_of_points(study, {"load.ratio": np.linspace(5.0, 10.0, 200)}))
     at_once = grid.run(np.arange(200), np.zeros(1, np.uint8))
-    calls, run_tile = [], cells.kernel.run_tile
+    calls, run_tile = [], cells.run_tile
     monkeypatch.setattr(cells, "_IMPACTS", 1)
-    monkeypatch.setattr(cells.kernel, "run_tile", lambda *arguments: calls.append(1) or run_tile(*arguments))
+    monkeypatch.setattr(cells, "run_tile", lambda *arguments: calls.append(1) or run_tile(*arguments))
     tile = grid.run(np.arange(200), np.zeros(1, np.uint8))
     assert len(at_once.details) > 300
     assert 1 < len(calls) < 7
@@ -107,7 +108,8 @@ def test_events_that_find_no_room_get_it(method, measured, monkeypatch):
         return [column.tobytes() for column in (*columns, run.phase_states)]
 
     at_once = bits()
-    monkeypatch.setattr(cells.kernel, "EVENTS", 3)
+    for module in (cells, kernel):
+        monkeypatch.setattr(module, "EVENTS", 3)
     assert bits() == at_once
 
 

@@ -16,7 +16,6 @@ import numba
 import numpy as np
 from numpy.lib.recfunctions import require_fields
 
-from clunk.core import tile as kernel
 from clunk.core.arrays import StopFlag
 from clunk.core.events import EVENT
 from clunk.core.exact.flows import Flows
@@ -24,6 +23,7 @@ from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.status import QUALITY_UNDECIDED, Status
 from clunk.core.switching import MOST_STAGES
+from clunk.core.tile import CELL, EVENTS, IMPACT, MORE, Batch, Cases, Output, capacity_of, run_tile
 from clunk.simulation.batches import most_prepared, of_system, prepare_many, prepare_one
 from clunk.simulation.load import WAVES, cases_of
 from clunk.study.arrays import Array, Cells, Floats, Records
@@ -31,10 +31,8 @@ from clunk.study.designs import Design, design_of
 from clunk.study.models import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study
 
-_Part = tuple[kernel.Batch, Cells]  # drivelines, and the number among them of each of those that were asked for
+_Part = tuple[Batch, Cells]  # drivelines, and the number among them of each of those that were asked for
 Runs = tuple[Cells, Records, Records, Records]  # positions of runs, their records, impacts and events
-
-CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 
@@ -55,7 +53,7 @@ _MOVED = 1e-6  # of a time, 1e6 times as much as what it is _NUDGED by
 _THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
 _AT_ONCE = 1 << 23  # events that runs may have which are taken at a time: of each second one an impact, 134 MB
 _STATES = 1 << 16  # those whose states there is room for at a time: 8 MB, which the caches nearly hold
-_MEASURED, _MORE_MEASURED = 512, 8  # `kernel.EVENTS` and `kernel.MORE` of runs with states: many at a time
+_MEASURED, _MORE_MEASURED = 512, 8  # `EVENTS` and `MORE` of runs with states: many at a time
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
@@ -128,7 +126,7 @@ class Grid:
         is_slow = solver.method == "rk4" and solver.end_time > _FEW_STEPS * solver.step
         self.few_cells = 0 if is_slow or self._is_large() else min(FEW, self.tile_cells)
         self.pace = [math.inf]  # one number, the same for all designs
-        self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
+        self._kept: dict[bytes, tuple[Batch, int]] = {}  # drivelines, by the bytes of their points
 
     def __getstate__(self) -> dict[str, Any]:
         self.shared()  # goes along to other processes, so that all have its bits
@@ -154,7 +152,7 @@ class Grid:
         return cells[np.lexsort([values[parameter] for parameter in self.structural])]
 
     @cached_property
-    def _nominal(self) -> kernel.Batch:
+    def _nominal(self) -> Batch:
         """The driveline with the study's own values of structural parameters."""
         return prepare_one(of_system(self.study))
 
@@ -252,14 +250,14 @@ class Grid:
             most = self.study.solver.max_events
             if measures and batch.systems.regimes.size > batch.systems.regime_strides[lashes]:
                 most += MOST_STAGES  # changes of stage need room too
-            first, more = (_MEASURED, _MORE_MEASURED) if measures else (kernel.EVENTS, kernel.MORE)
+            first, more = (_MEASURED, _MORE_MEASURED) if measures else (EVENTS, MORE)
             room = min(first, most)
             while positions.size and not stop[0]:
                 if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
                     batch = batch.at(cases.drivelines[:1]) if len(batch.systems.rates) > 1 else batch
                     cases = cases._replace(drivelines=_THE_ONLY)
                 at_once = min(positions.size, max((_STATES if measures else _AT_ONCE) // room, 1))
-                capacity = kernel.capacity_of(room, lashes)
+                capacity = capacity_of(room, lashes)
                 logs = np.zeros((at_once, capacity) if measures or keeps_events else (0, 0), EVENT)
                 states = np.empty((at_once, capacity, batch.systems.rates.shape[-1]) if measures else (0, 0, 0))
                 again = []
@@ -277,9 +275,7 @@ class Grid:
                 left = np.concatenate(again)
                 positions, cases, room = positions[left], cases.at(left), min(more * room, most)
 
-    def _by_batches(
-        self, values: Mapping[str, Floats], count: int
-    ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
+    def _by_batches(self, values: Mapping[str, Floats], count: int) -> Iterator[tuple[Batch, Cells, Cases]]:
         """Cut cells by the batches of their drivelines, and where each has its own load, by the size of these.
 
         values : of each parameter in `count` cells
@@ -299,7 +295,7 @@ class Grid:
                 yield batch, positions, cases._replace(drivelines=of_cells[positions])
 
     def _run(
-        self, batch: kernel.Batch, cases: kernel.Cases, stop: StopFlag, room: int, logs: Records, states: Floats
+        self, batch: Batch, cases: Cases, stop: StopFlag, room: int, logs: Records, states: Floats
     ) -> tuple[Records, Records]:
         """Records and impacts, as the grid's layout has them, of the runs that were done before `stop` was set.
 
@@ -308,7 +304,7 @@ class Grid:
         another time, it is undecided.
 
         room : for the events of each
-        logs, states : of `kernel.Output`, or of no run; with states, what the config measures is measured
+        logs, states : of `Output`, or of no run; with states, what the config measures is measured
         """
         cells, details = self._followed(batch, cases, stop, room, logs, states)
         if self.study.solver.method == "exact" and self.study.solver.margin_tolerance:
@@ -325,10 +321,10 @@ class Grid:
                     cells["quality"][long[differ.any(axis=1)]] |= QUALITY_UNDECIDED
         if not len(states):
             return cells.ravel(), details
-        return self._measured(batch, cases, kernel.Output(cells, details, logs, states), stop)
+        return self._measured(batch, cases, Output(cells, details, logs, states), stop)
 
     def _followed(
-        self, batch: kernel.Batch, cases: kernel.Cases, stop: StopFlag, room: int, logs: Records, states: Floats
+        self, batch: Batch, cases: Cases, stop: StopFlag, room: int, logs: Records, states: Floats
     ) -> tuple[Records, Records]:
         """CELL (n, lashes) and IMPACT of the first n runs, which were done before `stop` was set; see `_run`.
 
@@ -340,15 +336,13 @@ class Grid:
         while done < runs and not stop[0]:
             # so much more that a few runs with many impacts are not run again
             found = np.zeros(each * (runs - done) + 3 * most, IMPACT)
-            output = kernel.Output(cells, found, logs, states)
-            done, written = kernel.run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
+            output = Output(cells, found, logs, states)
+            done, written = run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
             impacts.append(found[:written].copy())
             each *= 2
         return cells[:done], np.concatenate(impacts, dtype=IMPACT)
 
-    def _measured(
-        self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output, stop: StopFlag
-    ) -> tuple[Records, Records]:
+    def _measured(self, batch: Batch, cases: Cases, output: Output, stop: StopFlag) -> tuple[Records, Records]:
         """Records and impacts of runs with their measures; none where `stop` is set."""
         names, details = self.study.impacts.quantities, output.impacts
         totals = np.full((*output.cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
