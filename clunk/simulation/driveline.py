@@ -9,14 +9,13 @@ from functools import cache, cached_property, partial
 
 import numpy as np
 
-from clunk.core import tables
 from clunk.core.arrays import FloatArray
 from clunk.core.batches import alike
 from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.reductions import chain, constrained, locked, product
 from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, driveline_at, rolling_apart
 from clunk.core.status import Status
-from clunk.core.tables import Friction, StagedShaft
+from clunk.core.tables import OF_FRICTION, FlowOf, Friction, Lashes, StagedShaft, combinations, half_gap_of
 from clunk.simulation import rigid
 from clunk.simulation.load import WAVES, run_load, wave_rates
 from clunk.simulation.phases import preload
@@ -274,13 +273,13 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
     )
 
 
-def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
+def _core_lashes(study: Study, driveline: Driveline) -> Lashes:
     """The lashes as the core has them."""
     contacts, varied, periods = [lash.contact for lash in study.lashes], driveline.varied, driveline.contact_periods
     numbers = partial(_numbers, varied, study.lash_places)
     are_rigid = study.has_rigid_flanks  # whose locked state itself is sticking
     sticking = 0.0 if are_rigid else varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
-    return tables.Lashes(
+    return Lashes(
         twists=driveline.lashes,
         stiffness=driveline.contact_stiffnesses,
         damping=driveline.contact_dampings,
@@ -293,7 +292,7 @@ def _core_lashes(study: Study, driveline: Driveline) -> tables.Lashes:
     )
 
 
-def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[FloatArray, FloatArray]]:
+def _chains(study: Study, driveline: Driveline) -> dict[FlowOf, tuple[FloatArray, FloatArray]]:
     """Damping and stiffness in each flow, without its constraints."""
 
     @cache
@@ -303,7 +302,7 @@ def _chains(study: Study, driveline: Driveline) -> dict[tables.FlowOf, tuple[Flo
     return {each: matrices_of(each.stages, _in_contact(study, each)) for each in flows_of(driveline)}
 
 
-def _in_contact(study: Study, flow: tables.FlowOf) -> tuple[int, ...] | bool:
+def _in_contact(study: Study, flow: FlowOf) -> tuple[int, ...] | bool:
     """Whether each lash, or none, is a spring and a damper in a flow: rigid flanks are not."""
     return False if study.has_rigid_flanks else flow.closed
 
@@ -367,22 +366,22 @@ def held_inputs(driveline: Driveline, system: System) -> list[int]:
     """The inputs of a system that are twists at which constraints hold: those of each lash and of each friction."""
     inputs = system.inputs.shape[-1]
     return [
-        *map(tables.half_gap_of, range(driveline.lashes.shape[-2])),
-        *(inputs - tables.OF_FRICTION * k + 1 for k in range(len(driveline.frictions), 0, -1)),
+        *map(half_gap_of, range(driveline.lashes.shape[-2])),
+        *(inputs - OF_FRICTION * k + 1 for k in range(len(driveline.frictions), 0, -1)),
     ]
 
 
 def stages_of(driveline: Driveline) -> list[tuple[int, ...]]:
     """The combinations of stages, one for each shaft, in the order in which regimes have them."""
-    return tables.combinations([shaft.stiffness.shape[-1] for _, shaft in driveline.staged])
+    return combinations([shaft.stiffness.shape[-1] for _, shaft in driveline.staged])
 
 
-def flows_of(driveline: Driveline) -> list[tables.FlowOf]:
+def flows_of(driveline: Driveline) -> list[FlowOf]:
     """The flows of a driveline in the order of their numbers."""
-    of_lashes = tables.combinations([2] * driveline.lashes.shape[-2])
+    of_lashes = combinations([2] * driveline.lashes.shape[-2])
     return [
-        tables.FlowOf(closed, stages, stuck)
-        for stuck in tables.combinations([2] * len(driveline.frictions))
+        FlowOf(closed, stages, stuck)
+        for stuck in combinations([2] * len(driveline.frictions))
         for stages in stages_of(driveline)
         for closed in of_lashes
     ]
