@@ -72,7 +72,6 @@ class Driveline:
         n, shafts, lashes, varied = len(study.driveline.inertias), study.driveline.shafts, study.lashes, varied or {}
         of_shafts, of_lashes = [("driveline", "shafts", k) for k in range(len(shafts))], study.lash_places
         shaft_rows, rows = _incidence(varied, of_shafts, shafts, n), _incidence(varied, of_lashes, lashes, n)
-        contacts = [lash.contact for lash in lashes]
         if study.has_rigid_flanks and alike(np.linalg.matrix_rank(rows) < len(lashes), 0):
             raise ClunkError(
                 "Rigid lashes in a ring or side by side share a torque that nothing divides between them: "
@@ -88,6 +87,11 @@ class Driveline:
         for k, each in staged:  # at a breakpoint, the stage above
             stiffness[..., k] = each.stiffness[..., np.count_nonzero(alike(each.breakpoints <= 0.0))]
         radii = _numbers(varied, of_lashes, [lash.radius for lash in lashes], "radius")
+        stiffnesses, dampings = (
+            radii**2
+            * _numbers(varied, of_lashes, [getattr(lash.contact, key) or 0.0 for lash in lashes], "contact", key)
+            for key in ("stiffness", "damping")
+        )
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=_numbers(varied, [("driveline", "inertias", k) for k in range(n)], study.driveline.inertias),
@@ -95,10 +99,8 @@ class Driveline:
             shaft_stiffness=stiffness,
             shaft_damping=_numbers(varied, of_shafts, [shaft.damping for shaft in shafts], "damping"),
             lashes=rows,
-            contact_stiffnesses=radii**2
-            * _numbers(varied, of_lashes, [each.stiffness or 0.0 for each in contacts], "contact", "stiffness"),
-            contact_dampings=radii**2
-            * _numbers(varied, of_lashes, [each.damping or 0.0 for each in contacts], "contact", "damping"),
+            contact_stiffnesses=stiffnesses,
+            contact_dampings=dampings,
             load=np.eye(n)[study.load.on - 1],
             staged=staged,
             shaft_friction=_numbers(varied, of_shafts, [shaft.friction for shaft in shafts], "friction"),
