@@ -1,15 +1,12 @@
 """Progress of a long computation on stderr: one line that is rewritten, or where that is kept a line now and then."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from clunk.study.study import Study
+from clunk.study.study import Study
+from clunk.sweeping.cells import compiling_note, warm_up
 
 Progress = Callable[[int, int], None]
 
@@ -71,8 +68,6 @@ def unseen(_done: int, _total: int) -> None:
 @contextmanager
 def reporting(progress: bool | Progress, study: Study, what: str = "cells") -> Iterator[Progress]:
     """Function to report progress to; a bar is shown when the kernels that the study needs are compiled."""
-    from clunk.sweeping.cells import compiling_note, warm_up
-
     if progress is False:
         yield unseen
     elif progress is True:
