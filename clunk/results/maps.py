@@ -31,7 +31,7 @@ from clunk.results.quantities import (
 from clunk.study.arrays import Array, Counts, Floats, Integers
 from clunk.study.axes import LASH, ResultAxis, parameters_of
 from clunk.study.designs import Design
-from clunk.study.document import value_at
+from clunk.study.document import Document, value_at
 from clunk.study.errors import ClunkError
 from clunk.study.loads import PROFILES, numbers
 from clunk.study.models import lash_name, lash_position
@@ -40,7 +40,7 @@ from clunk.study.records import Rows, as_text, counted, percent
 
 
 @lru_cache(maxsize=4)
-def tables_of(config: str) -> dict[str, Any]:
+def tables_of(config: str) -> Document:
     """The tables of a config's TOML, parsed once for all maps of a runner; none of what is no TOML."""
     try:
         return tomllib.loads(config)
@@ -104,7 +104,7 @@ class Map(Design, ABC):
         return self.lashes or (lash_name(0, value_at(self.tables, ("lash", "name"))),)
 
     @property
-    def tables(self) -> dict[str, Any]:
+    def tables(self) -> Document:
         """The resolved config; not to be changed."""
         return tables_of(self.config)
 

@@ -184,7 +184,7 @@ def _read_preset(name: str) -> Document:
     return tables if base is None else _merged(_read_preset(base), tables)
 
 
-def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str, Any]) -> None:
+def _warn_of_fewer_shafts(name: str, preset: Document, raw: Document) -> None:
     """Warn of a file that seems to add shafts to a preset, or to change one: it replaces them all.
 
     With inertias of its own, or a lash in another place, it has a driveline of its own.
@@ -219,7 +219,7 @@ def _alternatives(place: Place) -> list[str]:
     return [other for pair in pairs for one, two in (pair, pair[::-1]) if name in one for other in two]
 
 
-def _merged(preset: Mapping[str, Any], raw: Mapping[str, Any]) -> Document:
+def _merged(preset: Document, raw: Document) -> Document:
     """A preset with the file's values in place of its own; a list of the file replaces the preset's."""
     merged = dict(preset)
     for key, value in raw.items():

@@ -8,13 +8,13 @@ import csv
 import math
 import re
 import warnings
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from clunk.study.document import read_text
+from clunk.study.document import Document, read_text
 from clunk.study.errors import ClunkWarning, ConfigError, listing, shorten
 from clunk.study.tables import Findings, Inertia, NotNegative, Positive, Quantity, Table, Text
 
@@ -140,7 +140,7 @@ def uses(profile: str, key: str) -> bool:
     return key in ("on", "step_time", *(PROFILES[profile].keys if profile in PROFILES else ()))
 
 
-def numbers(load: Mapping[str, Any], without: Container[str] = ()) -> list[str]:
+def numbers(load: Document, without: Container[str] = ()) -> list[str]:
     """The numbers of a load's profile, other than defaults, with symbols and units: ``d = 0.1 s``.
 
     load : the table of a config
