@@ -9,6 +9,7 @@ import numpy as np
 from bokeh.models import Column, Div, NumericInput, Row, Select, Slider
 
 from clunk.explorer.figures import WIDE, title_of
+from clunk.explorer.subject import Numbers
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.designs import is_unused
 from clunk.study.keys import Key
@@ -32,7 +33,7 @@ _STEPS = 50  # of a slider at least
 _FEWEST = 5  # steps of one for whole numbers
 
 
-def adjustable(study: Study, swept: Sequence[str]) -> dict[str, float]:
+def adjustable(study: Study, swept: Sequence[str]) -> Numbers:
     """Keys of a study that a slider may change, with their values; those that are looked for first come first."""
     values = {key: nominal_value(study, key) for key in parameters(study) if key not in swept}
     known = {key: value for key, value in values.items() if math.isfinite(value) and not is_unused(study, key)}
@@ -67,7 +68,7 @@ class Controls:
     ) -> None:
         self._study, self._on_change, self._is_setting = study, on_change, False
         self._config = adjustable(study, swept)
-        self._values: dict[str, float] = {}
+        self._values: Numbers = {}
         self._changes: dict[str, Callable[[float | None], None]] = {}
         self._more = Select(name="more", **WIDE)
         self._more.on_change("value", lambda _attribute, _old, key: self._add(key))
@@ -78,12 +79,12 @@ class Controls:
             self._add(key)
 
     @property
-    def cell(self) -> dict[str, float]:
+    def cell(self) -> Numbers:
         """Values of the axes."""
         return {key: value for key, value in self._values.items() if key not in self._config}
 
     @property
-    def numbers(self) -> dict[str, float]:
+    def numbers(self) -> Numbers:
         """The numbers that differ from the config's."""
         return {key: value for key, value in self._values.items() if value != self._config.get(key, value)}
 

@@ -26,7 +26,7 @@ from clunk.plot.labelling import roomiest
 from clunk.plot.layers import Layers
 from clunk.plot.maps import cell_colours, shades_of
 from clunk.plot.plane import View, cells_of, ruler, value_text
-from clunk.plot.style import FAILED_FILL, FAINT_INK, INK, LINE_COLOURS, bare, capital
+from clunk.plot.style import FAILED_FILL, FAINT_INK, INK, LINE_COLOURS, Look, bare, capital
 from clunk.results.maps import AnyMap
 from clunk.results.quantities import YES_NO
 from clunk.simulation.history import History
@@ -44,7 +44,7 @@ _SHADES = 256
 _CLOSEST = 1e-9  # that a figure can be zoomed in to: of an axis, or s
 _ABOVE = 0.05  # of a curve's height, left free above and below it
 _COLUMNS = 800  # spans of time that a screen tells apart
-WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
+WIDE: Look = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 _TEXT = {"text_font_size": "11px"}
 
 Cell = tuple[float, ...]  # values of the map's axes
@@ -89,7 +89,7 @@ class MapFigure:
 
     def __init__(self, axes: Sequence[ResultAxis]) -> None:
         self._axes = axes
-        look: dict[str, Any] = {}
+        look: Look = {}
         for which, axis in zip("xy", axes, strict=False):
             look[f"{which}_axis_label"] = capital(title_of(axis))
             look[f"{which}_axis_type"] = "log" if axis.is_geometric else "linear"
@@ -133,7 +133,7 @@ class MapFigure:
             plot.vstrip("x0", "x1", source=sources["bands"], **band)
             plot.line("x", "y", source=sources["points"], color=INK, line_width=1.5)
             plot.vspan("x", **ring)
-        beside: dict[str, Any] = {"text_align": "align", "x_offset": "offset", "background_fill_color": "white"}
+        beside: Look = {"text_align": "align", "x_offset": "offset", "background_fill_color": "white"}
         beside |= {"background_fill_alpha": 0.85, "padding": 3, "level": "overlay", "name": "pointed"}
         plot.text("x", "y", "text", source=self._pointed, **beside, **text)
 

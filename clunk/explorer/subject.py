@@ -55,7 +55,7 @@ class Subject:
         self.slices = tuple(axis for axis in changing if axis not in self.plane)
         self.swept = tuple(axis for axis in results.parameters if axis.parameter != LASH and len(axis) > 1)
 
-    def values(self, cell: Numbers) -> dict[str, float]:
+    def values(self, cell: Numbers) -> Numbers:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""
         return {parameter: float(value) for parameter, value in self._first.place(position(self._axes, cell)).items()}
 

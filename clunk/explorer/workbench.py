@@ -17,7 +17,7 @@ from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Model, Pane, S
 from clunk.explorer.controls import Controls
 from clunk.explorer.figures import RUN_COLOURS, WIDE, Cell, Changes, MapFigure, RunFigures, Shown
 from clunk.explorer.newest import GoOn, Newest
-from clunk.explorer.subject import Subject, position
+from clunk.explorer.subject import Numbers, Subject, position
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
 from clunk.plot.style import FAINT_INK
@@ -82,7 +82,7 @@ class Workbench:
         self._document, self._subject = document, subject
         self._map = MapFigure(subject.plane) if subject.plane else None
         self._results: AnyMap | None = None
-        self._latest: tuple[tuple[dict[str, float], dict[str, float]], AnyMap] | None = None
+        self._latest: tuple[tuple[Numbers, Numbers], AnyMap] | None = None
         self._follows = True
         self._hovered: Cell | None = None
         self._run: Shown | None = None
@@ -251,7 +251,7 @@ class Workbench:
         """Values of the map's axes in the cell that was chosen last."""
         return tuple(self._controls.cell[axis.parameter] for axis in self._subject.plane)
 
-    def _values(self, cell: Cell) -> dict[str, float]:
+    def _values(self, cell: Cell) -> Numbers:
         """Values of all axes."""
         plane = parameters_of(self._subject.plane)
         return self._controls.cell | dict(zip(plane, cell, strict=True))

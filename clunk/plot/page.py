@@ -4,7 +4,7 @@ Nothing in it runs and nothing is fetched: its head forbids both, and texts of t
 """
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from html import escape
 
 from matplotlib.figure import Figure
@@ -15,7 +15,7 @@ from clunk.plot.maps import MOST_VALUES, default_quantities, draw
 from clunk.plot.plane import drawn_axes, parted_axes
 from clunk.plot.style import styled
 from clunk.results.maps import AnyMap
-from clunk.study.records import columns_of, html_table
+from clunk.study.records import Rows, columns_of, html_table
 
 _STYLE = """
 body { color: #1c2126; font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em }
@@ -48,7 +48,7 @@ _PAGE = """<!doctype html>
 """
 
 
-def page(results: AnyMap, digests: Sequence[tuple[str, str]]) -> str:
+def page(results: AnyMap, digests: Rows) -> str:
     """HTML of the page on a map.
 
     digests : name and value of what tells whether it is the same

@@ -23,7 +23,7 @@ from clunk.results.labels import double_sided
 from clunk.study.errors import ClunkError
 from clunk.study.records import fill
 
-Look = dict[str, Any]  # keyword arguments for matplotlib
+Look = dict[str, Any]  # keyword arguments for matplotlib, or for Bokeh
 
 SIZE = (7.0, 5.2)  # inches
 MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
@@ -35,7 +35,7 @@ FAILED_FILL = "#a9a9a9"
 UNDEFINED = "#efefec"
 # Of lines, in this order; also the colour blind tell them apart, and their lightness differs.
 LINE_COLOURS = ("#2f7fc1", "#dd6b1f", "#1f9e83", "#7d55a8", "#b8447c", "#d9b310", "#7a6a55")
-CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
+CENTRED: Look = {"ha": "center", "va": "center"}
 DASHED = (0, (4.0, 1.6))
 MINUS = "\N{MINUS SIGN}"
 _NO_IMPACT = "#f6f5f1"
@@ -47,7 +47,7 @@ _LIGHTEST, _RANGE, _FALL = 0.172, 0.62, 2.35  # depth of a tint, and how it grow
 _GROUP_TINTS = (0.55, 0.85, 0.25)  # from 0, 7 and 14 double-sided impacts on, where the hues begin again
 _WEIGHTS = {"DS": 0.0, "SS": 1.0, "OS": 1.67, "CR": 0.0}  # of an excursion, in what follows
 _BEFORE = 0.4  # more for an excursion before the last double-sided one
-_STYLE: dict[str, Any] = {
+_STYLE: Look = {
     "font.size": 9.0,
     "axes.labelsize": 10.0,
     "axes.linewidth": 0.8,

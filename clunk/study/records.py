@@ -76,7 +76,7 @@ class Record:
             if isinstance(member, property) and "told" in vars(member.fget):
                 yield name, vars(member.fget)["told"], getattr(self, name)
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Heading and text of each single value for people."""
         return [
             (each.heading, words(value, each))
