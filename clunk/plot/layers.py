@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.colors import to_rgba_array
-from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image, ImageDraw
+from scipy.ndimage import morphological_gradient
 
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.plane import View, cell_edges, cells_of, value_text
@@ -184,8 +184,7 @@ class Layers:
         present, group = np.unique(numbers, return_inverse=True)
         regions_of = np.array([*group, FAILED_CODE], np.int16)
         codes = regions_of[self.codes]
-        around = sliding_window_view(np.pad(codes, 1, "edge"), (3,) * codes.ndim).reshape(*codes.shape, -1)
-        meets = np.ptp(around, axis=-1) > 0
+        meets = morphological_gradient(codes, 3) > 0
         places = tuple(map(cells_of, self.view.axes, self.unresolved.T))
         names, colours = (tuple(looks[number][k] for number in present.tolist()) for k in (0, 1))
         return replace(
