@@ -17,7 +17,7 @@ from clunk.study.document import Place, dotted, items_of, value_at
 from clunk.study.errors import ConfigError, listing, shorten
 from clunk.study.keys import validated
 from clunk.study.loads import PROFILES, TORQUES, Load, uses
-from clunk.study.models import OF_IMPACTS, Config, FreeParameter, Part, part_of
+from clunk.study.models import OF_IMPACTS, Config, FreeParameter, part_of
 from clunk.study.parameters import drawn_numbers, located, nominal_value, with_values
 from clunk.study.sweeps import Draw
 from clunk.study.tables import Finding, Findings, Table, misnamed
@@ -155,13 +155,6 @@ def _sizes(config: Config) -> Findings:
 # --- Measures --------------------------------------------------------------------------------------------------------
 
 
-def _is_impulsive(part: Part, config: Config) -> bool:
-    """Whether a part is at a lash whose touches are impulses."""
-    if part.element == "inertia":
-        return config.has_rigid_flanks and any(part.number + 1 in lash.between for lash in config.lashes)
-    return config.has_rigid_flanks and part.element == "lash"
-
-
 def _measured(config: Config) -> Findings:
     """Require names that differ, and parts that there are; and no acceleration that an impulse makes infinite."""
     names = [measure.name for measure in config.measures]
@@ -180,7 +173,10 @@ def _measured(config: Config) -> Findings:
         except ValueError as error:
             yield (*place, "of"), str(error)
             continue
-        if _is_impulsive(part, config) and measure.quantity != "twist":
+        is_struck = measure.quantity == "contact torque" or (
+            measure.quantity == "acceleration" and any(part.number + 1 in lash.between for lash in config.lashes)
+        )
+        if config.has_rigid_flanks and is_struck:
             text = f"under the restitution model a touch makes the {measure.quantity} infinite"
             yield (*place, "quantity"), f"{text}; twists and shaft torques stay finite"
 
