@@ -285,7 +285,7 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
         if axis.variable not in experiment.columns and len(axis) > 1:
             raise ClunkError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
     points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
-    trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis) > 1)
+    trends = tuple(_trend(axis, points) for axis in results.axes if len(axis) > 1)
     inside = [point for point in points if point.counts]
     agreeing, failed = sum(point.agrees is True for point in inside), sum(point.computed == FAILED for point in points)
     return ExperimentComparison(
@@ -313,14 +313,13 @@ def _point(results: Results, columns: tuple[str, ...], measurement: Measurement)
     return Point(values, measurement.label, computed, results.place(cell))
 
 
-def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
+def _trend(axis: ResultAxis, points: tuple[Point, ...]) -> Trend:
     """Trend between neighbours: points that differ in this parameter only, with no measured point between them."""
     lines: dict[tuple[str, ...], dict[float, list[Point]]] = defaultdict(lambda: defaultdict(list))
     for point in points:
         # as text, so that NaN, a parameter that was not measured, is equal to itself
-        values = [*point.at.values()]
-        fixed = tuple(repr(value) for k, value in enumerate(values) if k != position)
-        lines[fixed][values[position]].append(point)
+        fixed = tuple(repr(value) for key, value in point.at.items() if key != axis.parameter)
+        lines[fixed][point.at[axis.parameter]].append(point)
     changes = [
         (
             double_sided(second.measured) - double_sided(first.measured),
