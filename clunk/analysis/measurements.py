@@ -309,7 +309,7 @@ def _point(results: Results, columns: tuple[str, ...], measurement: Measurement)
         cell = tuple(axis.nearest(measured.get(axis.variable, axis.values[0])) for axis in results.axes)
     except ClunkError:  # beyond an axis
         return Point(values, measurement.label, None, None)
-    computed = str((*results.labels, FAILED)[results.sequence[cell]])  # the code of failed cells, -1, is the last
+    computed = results.coded_labels[results.sequence[cell]]
     return Point(values, measurement.label, computed, results.place(cell))
 
 

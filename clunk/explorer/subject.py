@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from clunk.analysis.boundaries import with_boundaries
 from clunk.plot.plane import parted_axes
-from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
@@ -64,7 +63,7 @@ class Subject:
         if not isinstance(self.results, ToleranceMap):
             return ""
         part = self.results.of_lash(lash)
-        shares = zip((*part.labels, FAILED), part.probability[position(part.axes, cell)].tolist(), strict=True)
+        shares = zip(part.coded_labels, part.probability[position(part.axes, cell)].tolist(), strict=True)
         likely = sorted(((share, label) for label, share in shares if share), reverse=True)
         return f"of {part.draws:,} draws: " + ", ".join(f"{label} {100.0 * share:.3g} %" for share, label in likely)
 

@@ -21,7 +21,6 @@ from clunk.explorer.subject import Numbers, Subject, position
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
 from clunk.plot.style import FAINT_INK
-from clunk.results.labels import FAILED
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.results.quantities import LABEL, TEXT, quantities_of
 from clunk.study.axes import RUN, parameters_of
@@ -193,7 +192,7 @@ class Workbench:
         if self._results is None:
             return ""
         part = self._results.of_lash(self._lash.value)
-        return (*part.labels, FAILED)[part.sequence[position(part.axes, self._values(cell))]]
+        return part.coded_labels[part.sequence[position(part.axes, self._values(cell))]]
 
     def _hover(self, cell: Cell | None) -> None:
         if cell != self._hovered:

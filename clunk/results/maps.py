@@ -188,9 +188,14 @@ class Map(Design, ABC):
         return self.at({LASH: self.axes[-1].values[position]}) if self.lashes else self
 
     @property
+    def coded_labels(self) -> tuple[str, ...]:
+        """The label of each code, and last ``failed``, of the code -1."""
+        return (*self.labels, FAILED)
+
+    @property
     def label_map(self) -> npt.NDArray[np.str_]:
         """Label of each cell, shape; ``failed`` where the run failed. Of a tolerance map, the most likely one."""
-        return np.array([*self.labels, FAILED])[self.sequence]  # the code -1 is the last
+        return np.array(self.coded_labels)[self.sequence]
 
     def counts(self) -> dict[str, int]:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0).
@@ -198,8 +203,8 @@ class Map(Design, ABC):
         Of a tolerance map, cells in which the label is the most likely one.
         """
         sequence = self.sequence.ravel().astype(np.intp)
-        cells = np.bincount(sequence - FAILED_CODE, minlength=len(self.labels) + 1).tolist()
-        return dict(zip((*self.labels, FAILED), (*cells[1:], cells[0]), strict=True))
+        cells = np.bincount(sequence - FAILED_CODE, minlength=len(self.coded_labels))
+        return dict(zip(self.coded_labels, np.roll(cells, -1).tolist(), strict=True))
 
     def by_lash(self) -> dict[str, Self]:
         """The map of each lash, by name."""
@@ -448,7 +453,7 @@ class ToleranceMap(Map):
     def entries(self) -> dict[str, Array]:
         """The labels and ``failed``, the quantiles, and numbers of the draws."""
         draws = np.arange(1, self.draws + 1, dtype=np.int32)
-        return {"label": np.array([*self.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
+        return {"label": np.array(self.coded_labels), "quantile": np.array(QUANTILES), "draw": draws}
 
     @property
     def draws(self) -> int:
@@ -487,7 +492,7 @@ class ToleranceMap(Map):
     def shares(self) -> dict[str, float]:
         """Share of each label in all runs; last that of ``failed``."""
         total = self.runs.reshape(-1, self.runs.shape[-1]).sum(axis=0, dtype=np.int64)
-        return dict(zip((*self.labels, FAILED), (total / total.sum()).tolist(), strict=True))
+        return dict(zip(self.coded_labels, (total / total.sum()).tolist(), strict=True))
 
     def label_table(self) -> list[dict[str, str]]:
         """See `Map.label_table`: the cells in which it is the most likely one, and its share of all runs."""
