@@ -15,11 +15,28 @@ from clunk.analysis.measurements import ExperimentComparison
 from clunk.analysis.optimisation import RELEASE_TIME, Front
 from clunk.analysis.sobol import CONFIDENCE, Sensitivity
 from clunk.analysis.thresholds import DRAW, QUANTILE, Thresholds
-from clunk.plot import style
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
 from clunk.plot.plane import View, axis_label, cell_edges, scale_panels, value_text
-from clunk.plot.style import INK, LINE_COLOURS, Look
+from clunk.plot.style import (
+    FAILED_FILL,
+    INK,
+    LINE_COLOURS,
+    Look,
+    PlotError,
+    capital,
+    colour_of,
+    lay_out,
+    new_figure,
+    new_panels,
+    plain,
+    shades,
+    styled,
+    swatch,
+    symbol_text,
+    tidy,
+    tint,
+)
 from clunk.results.labels import FAILED, FAILED_CODE, primary_impacts
 from clunk.results.maps import Results
 from clunk.results.quantities import quantity_of
@@ -121,13 +138,13 @@ def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis:
     several = [axis for axis in axes if len(axis) > 1 and axis.parameter not in (DRAW, QUANTILE)]
     if len(several) > 1:
         names = " and ".join(parameters_of(several))
-        raise style.PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
+        raise PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
     if not several:
-        raise style.PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")
+        raise PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")
     return several[0]
 
 
-@style.styled()
+@styled()
 def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) -> Figure:
     """The outcomes as coloured bands over the other axis, exact upwards, and the thresholds as curves between them.
 
@@ -137,32 +154,32 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
 
     Raises PlotError where there is not one other axis with several values.
     """
-    plain = nominal or thresholds
-    x, study = other_axis(plain.axes), thresholds.study
-    figure = style.new_figure()
+    single = nominal or thresholds
+    x, study = other_axis(single.axes), thresholds.study
+    figure = new_figure()
     ax = figure.subplots()
-    tints = style.shades(len(thresholds.words))
-    fills = {FAILED_CODE: style.FAILED_FILL}
+    tints = shades(len(thresholds.words))
+    fills = {FAILED_CODE: FAILED_FILL}
     for code, word in enumerate(thresholds.words):
-        fills[code] = style.colour_of(word) if isinstance(word, str) else tints[code]
+        fills[code] = colour_of(word) if isinstance(word, str) else tints[code]
     drawn, curves, seen = "thresholds of", [], set()
     shares, colours = [1.0], [INK]
     if nominal is not None:
         drawn = f"share of {study.swept.sampling.count:,} drivelines"
         shares, colours = thresholds.axes[-1].values.tolist(), [*LINE_COLOURS[1:]]
     for (rank, k), colour in zip(enumerate(np.argsort(shares)), cycle(colours), strict=False):
-        paler = {code: style.tint(fill, (rank + 1.0) / len(shares)) for code, fill in fills.items()}
+        paler = {code: tint(fill, (rank + 1.0) / len(shares)) for code, fill in fills.items()}
         seen |= _draw_bands(ax, thresholds, x, paler, slice(k, None, len(shares)), color=colour)
         curves.append(Line2D([], [], color=colour, linewidth=1.6, label=f"in {100.0 * shares[k]:g} %"))
     if nominal is not None:
         _draw_bands(ax, nominal, x, {}, slice(None), **_WITHOUT)
         curves.append(Line2D([], [], **_WITHOUT))
     scale_panels(figure, [ax], (x, thresholds.along))
-    fixed = [value_text(axis, axis.values[0]) for axis in plain.axes if len(axis) == 1]
+    fixed = [value_text(axis, axis.values[0]) for axis in single.axes if len(axis) == 1]
     ordered = sorted(seen, key=lambda code: (primary_impacts(str(thresholds.word(code))), code))
-    notes = [style.swatch(words(thresholds.word(code)), fills[code]) for code in ordered]
-    line = "; ".join([f"{drawn}: {plain.outcome.heading_with_unit}", *fixed])
-    style.lay_out(figure, ax, study.title, line, [*notes, *(curves if nominal else [])])
+    notes = [swatch(words(thresholds.word(code)), fills[code]) for code in ordered]
+    line = "; ".join([f"{drawn}: {single.outcome.heading_with_unit}", *fixed])
+    lay_out(figure, ax, study.title, line, [*notes, *(curves if nominal else [])])
     return figure
 
 
@@ -212,7 +229,7 @@ def _draw_bands(
 # --- Sensitivities, optima
 
 
-@style.styled()
+@styled()
 def sobol_bars(sensitivity: Sensitivity) -> Figure:
     """First-order and total index of each parameter with their intervals, a panel for each quantity that varies.
 
@@ -222,42 +239,39 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     """
     drawn = [(each.heading, each.indices) for each in sensitivity.indices if each.indices]
     if not drawn:
-        raise style.PlotError("There are no indices to draw: every quantity is the same in all runs, or nearly.")
+        raise PlotError("There are no indices to draw: every quantity is the same in all runs, or nearly.")
     parameters = [*drawn[0][1]]
     places = np.arange(len(parameters))
-    figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))
+    figure, panels = new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))
     for ax, (heading, shares) in zip(panels, drawn, strict=True):
         ordered = [vars(shares[parameter]) for parameter in parameters]
         for name, colour, at in (("first", _FIRST, -0.5 * _BAR), ("total", _SECOND, 0.5 * _BAR)):
             share, *interval = np.transpose([(each[name], *each[f"{name}_interval"]) for each in ordered])
             ax.barh(places + at, share, _BAR, color=colour, xerr=abs(interval - share), error_kw=_INTERVAL)
         ax.axvline(0.0, color=INK, linewidth=0.8)
-        ax.set_title(fill(style.capital(heading)), loc="left", fontsize=9.0)
-        style.tidy(ax, "x")
-    names = [
-        f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}"
-        for axis in map(quantity, parameters)
-    ]
+        ax.set_title(fill(capital(heading)), loc="left", fontsize=9.0)
+        tidy(ax, "x")
+    names = [f"{plain(capital(axis.name))}, {symbol_text(axis.symbol)}" for axis in map(quantity, parameters)]
     panels[0].set_yticks(places, names)
     panels[0].set_ylim(len(parameters) - 0.5, -0.5)
     panels[-1].set_xlabel(f"Share of the variance, with {100 * CONFIDENCE:g} % intervals")
-    notes = [style.swatch("alone (first-order index)", _FIRST), style.swatch("in all (total index)", _SECOND)]
+    notes = [swatch("alone (first-order index)", _FIRST), swatch("in all (total index)", _SECOND)]
     point = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
     line = ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in point)
-    style.lay_out(figure, panels[0], sensitivity.study.title, line, notes)
+    lay_out(figure, panels[0], sensitivity.study.title, line, notes)
     return figure
 
 
-@style.styled()
+@styled()
 def trade_off(front: Front) -> Figure:
     """The minimised value over the quantity that is bounded, a point for each optimum."""
-    figure = style.new_figure()
+    figure = new_figure()
     ax = figure.add_subplot()
     minimized, bounded = front.traded
     ax.plot(*([best.quantities[name] for best in front.points] for name in (bounded, minimized)), "o-", color=INK)
     ax.set(xlabel=_label(bounded, front), ylabel=_label(minimized, front))
-    style.tidy(ax)
-    style.lay_out(figure, ax, front.points[0].study.title, f"the least {minimized} for each {bounded}")
+    tidy(ax)
+    lay_out(figure, ax, front.points[0].study.title, f"the least {minimized} for each {bounded}")
     return figure
 
 

@@ -15,8 +15,22 @@ from matplotlib.lines import Line2D
 
 from clunk.core.runs import LEVEL
 from clunk.core.tables import TORQUE
-from clunk.plot import style
-from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, MINUS, Look, PlotError, symbol_text
+from clunk.plot.style import (
+    DASHED,
+    FAINT_INK,
+    INK,
+    LINE_COLOURS,
+    MINUS,
+    Look,
+    PlotError,
+    lay_out,
+    new_figure,
+    plain,
+    styled,
+    symbol_text,
+    tidy,
+    tint,
+)
 from clunk.simulation.history import History, Impact
 from clunk.simulation.load import run_load
 from clunk.simulation.small_gap import SmallGap
@@ -28,14 +42,14 @@ Looks = dict[str, Look]  # colour, dashes and width of the curves of each run, b
 
 _WIDTH, _AROUND, _LOWEST = 7.2, 1.2, 4.6  # inches: of a figure, around its panels, and its least height
 _LINE = 1.3  # points
-_PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
+_PATTERNS: tuple[Any, ...] = ("solid", DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
 _CLOSE, _BEFORE, _TICK = 0.1, 0.03, 0.01  # s: of a close-up, of it before the impact, and between its ticks
 _GAP_FILL = "#e4e4e4"
 _LEAST = 1e-6  # mm, of a coordinate: locked flanks stay together but for rounding, which is nothing to look at
 _LABELLED = 6  # impacts; more arrows than these would hide the curve, and each other
 
 
-@style.styled()
+@styled()
 def history_figure(runs: Runs, name: str = "everything") -> Figure:
     """One of the `FIGURES`, its panels over one time axis.
 
@@ -49,7 +63,7 @@ def history_figure(runs: Runs, name: str = "everything") -> Figure:
     lashes = min(len(run.lashes) for run in runs) if name != "closeup" else 1
     groups = {"": runs}
     if lashes > 1:
-        groups = {style.plain(runs[0].study.lash_names[k]): [run.lashes[k] for run in runs] for k in range(lashes)}
+        groups = {plain(runs[0].study.lash_names[k]): [run.lashes[k] for run in runs] for k in range(lashes)}
     elif name in ("backlash", "acceleration"):
         cases = [_case(run) for run in runs]
         groups = {each: [run for run, case in zip(runs, cases, strict=True) if case == each] for each in cases}
@@ -89,7 +103,7 @@ def _look_closely(ax: Axes, runs: Runs) -> None:
 
 def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     """A column of axes over one time axis; heights  [inches]."""
-    figure = style.new_figure((_WIDTH, max(_AROUND + sum(heights), _LOWEST)))
+    figure = new_figure((_WIDTH, max(_AROUND + sum(heights), _LOWEST)))
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
     axes[-1].set_xlabel("Time [s]")
     begin = min(run.time[0] for run in runs)
@@ -97,7 +111,7 @@ def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     axes[0].set_xlim(begin, end if end > begin else begin + 1.0)
     axes[0].xaxis.set_major_locator(ticker.MaxNLocator(11, steps=[1, 2, 5, 10]))
     for ax in axes:
-        style.tidy(ax)
+        tidy(ax)
         for step_time in {run.study.load.step_time for run in runs}:
             ax.axvline(step_time, color=FAINT_INK, linewidth=0.7, linestyle=(0, (1.0, 2.0)), zorder=1)
     return figure, axes
@@ -119,12 +133,12 @@ def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, lashes: int) -> No
     else:
         names = [run.name for run in runs]
         for name, look in _looks(runs).items():
-            text = style.plain(name) + (told[name] if names.count(name) == 1 else "")
+            text = plain(name) + (told[name] if names.count(name) == 1 else "")
             handles.append(Line2D([], [], **look, label=text))
     if any(line.get_gid() in ("primary", "secondary") for ax in axes for line in ax.lines):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
             handles.append(Line2D([], [], marker="^", label=text, **_touch_look(FAINT_INK, primary=primary)))
-    style.lay_out(figure, axes[0], title, line, handles, parse_math=True)
+    lay_out(figure, axes[0], title, line, handles, parse_math=True)
 
 
 def _looks(runs: Runs) -> Looks:
@@ -158,11 +172,11 @@ def outcome(run: History) -> str:
 def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Angle of every inertia in its colour, of each run in its dashes; where the driveline rolls, less its rolling."""
     names, notes = runs[0].study.driveline.names, []
-    colours = cycle([*LINE_COLOURS, *(style.tint(colour, 0.5) for colour in LINE_COLOURS)])
+    colours = cycle([*LINE_COLOURS, *(tint(colour, 0.5) for colour in LINE_COLOURS)])
     for inertia, colour in zip(range(max(run.twist.shape[1] for run in runs)), colours, strict=False):
         for run in runs:
             ax.plot(run.time, run.twist[:, inertia : inertia + 1], zorder=3, **looks[run.name] | {"color": colour})
-        name = style.plain(names[inertia]) if names else ""
+        name = plain(names[inertia]) if names else ""
         notes.append(Line2D([], [], color=colour, label=f"θ{_index(inertia + 1)} {name}".rstrip()))
     beside: Look = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
     ax.legend(handles=notes, handlelength=1.4, frameon=False, **beside)
@@ -269,7 +283,7 @@ FIGURES: dict[str, Sequence[tuple[Callable[[Axes, Runs, Looks], None], float]]] 
 }
 
 
-@style.styled()
+@styled()
 def small_gap(title: str, response: SmallGap) -> Figure:
     """The response as the backlash vanishes, and how long the lowest mode lifts it off its flank (Figure 3.5).
 
@@ -279,12 +293,12 @@ def small_gap(title: str, response: SmallGap) -> Figure:
     """
     ratio = f"{response.ratio:.4g}".replace("-", "−")
     values = f"{symbol_text('σr')} = {ratio}, {symbol_text('ζ1')} = {response.damping_ratio:.3f}"
-    figure = style.new_figure((_WIDTH, 4.8))
+    figure = new_figure((_WIDTH, 4.8))
     ax = figure.add_subplot()
     time, zero = response.time, response.step_time + response.characteristic_time
     swing = abs(response.start - response.end) * np.exp(-response.decay * (time - response.step_time))
     for side, label in ((1.0, "exponential decay"), (-1.0, "")):
-        ax.plot(time, response.end + side * swing, color=LINE_COLOURS[1], linestyle=style.DASHED, label=label)
+        ax.plot(time, response.end + side * swing, color=LINE_COLOURS[1], linestyle=DASHED, label=label)
     ax.plot(time, response.torque, color=LINE_COLOURS[0], linewidth=1.5, zorder=4, label="response")
     ax.axhline(0.0, color=INK, linewidth=1.0, zorder=2)
     ax.axhline(response.end, color=FAINT_INK, linewidth=0.9, linestyle=(0, (1.0, 2.0)), label="equilibrium")
@@ -297,7 +311,7 @@ def small_gap(title: str, response: SmallGap) -> Figure:
         label = f"characteristic time {symbol_text('tc')}"
         ax.plot(zero, 0.0, "o", color=LINE_COLOURS[1], markeredgecolor=INK, zorder=6, gid="tc", label=label)
     ax.set(xlabel="Time [s]", ylabel="Torque across the lash [N m]", xlim=time[[0, -1]])
-    style.tidy(ax)
+    tidy(ax)
     line = f"ideal step to the last torque, limit of vanishing backlash, the lash always closed; {values}: {crossing}"
-    style.lay_out(figure, ax, title, line, ax.get_legend_handles_labels()[0], parse_math=True)
+    lay_out(figure, ax, title, line, ax.get_legend_handles_labels()[0], parse_math=True)
     return figure
