@@ -105,7 +105,7 @@ class Load(Table):
 
     def contradictions(self) -> Findings:
         """Require the keys that the profile needs, its torques given in one way, and times in order."""
-        given = tuple(key for pair in TORQUES for key in pair if getattr(self, key) is not None)
+        given = tuple(key for key in STEP_KEYS if getattr(self, key) is not None)
         if self.profile == "table":
             text = 'given beside profile = "table", which has torques of its own; leave it out'
             yield from (((key,), text) for key in given)
