@@ -124,7 +124,6 @@ _NUMBERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "lognormal": (("sigma",), ("median", "low", "high")),
     "triangular": (("low", "mode", "high"), ()),
 }
-_OF_DISTRIBUTIONS = ("low", "high", "mean", "std", "median", "sigma", "mode")
 
 
 class Draw(Varied):
@@ -149,7 +148,7 @@ class Draw(Varied):
     def contradictions(self) -> Findings:
         """Require the numbers of the distribution and no others, low < high, and the mode from low to high."""
         needed, possible = _NUMBERS[self.distribution]
-        given = [name for name in _OF_DISTRIBUTIONS if getattr(self, name) is not None]
+        given = [*self.model_dump(exclude={"parameter", "distribution", "draws"}, exclude_none=True)]
         if not {*needed} <= {*given} <= {*needed, *possible}:
             numbers = listing([*needed, *possible])
             yield (), f"found {listing(given) or 'no number'}; a {self.distribution} distribution is given by {numbers}"
