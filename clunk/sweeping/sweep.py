@@ -3,7 +3,7 @@
 import math
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -70,11 +70,18 @@ class Job:
                 self.parts = Parts(directory, study)
 
     def _empty(self) -> Reduction:
-        """The map without any cell."""
+        """The map without any cell. Raises ClunkError where there can be none, or it does not fit in memory."""
         if not self.design.shape:
             raise ClunkError(_NO_SWEEP)
         lashes = len(self.study.lashes)
-        _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
+        shape = (*self.design.shape, lashes) if lashes > 1 else self.design.shape
+        cells, memory = math.prod(shape), available_memory()
+        needed = cells * _BYTES_PER_CELL
+        if needed > 0.8 * memory:
+            raise ClunkError(
+                f"The grid of {' x '.join(map(str, shape))} = {cells:,} cells does not fit in memory: it takes "
+                f"about {needed / 2**30:.0f} GiB, and there are {memory / 2**30:.0f} GiB."
+            )
         if not self.study.swept.tolerances:
             return Reduction(Grid(self.study, self.design))
         if self.study.measured:
@@ -198,17 +205,6 @@ def _held(path: Path, study: Study) -> AnyMap:
     if held.sequence.size != design_of(study).cells * len(study.lashes):
         raise ClunkError(f"{path} holds a part of this map. {_WAYS_OUT}")
     return held
-
-
-def _refuse_if_too_large(shape: Sequence[int]) -> None:
-    """Raise ClunkError where results of this shape do not fit in memory."""
-    cells, memory = math.prod(shape), available_memory()
-    needed = cells * _BYTES_PER_CELL
-    if needed > 0.8 * memory:
-        raise ClunkError(
-            f"The grid of {' x '.join(map(str, shape))} = {cells:,} cells does not fit in memory: it takes "
-            f"about {needed / 2**30:.0f} GiB, and there are {memory / 2**30:.0f} GiB."
-        )
 
 
 def engine_of(scheduler: str | None, workers: int | None = None) -> Executor:
