@@ -65,7 +65,9 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
             click.echo(f"  not oscillating, decay rates [1/s]: {', '.join(f'{rate:.4g}' for rate in rates)}")
         click.echo()
     values = [("shuffle", f"mode {shuffle} of the closed lash" if shuffle else "none")]
-    values += [(f"contact period T_c{f', {name}' * several}", _period(time)) for name, time in periods.items()]
+    for name, time in periods.items():
+        period = f"{1e3 * time:.2f} ms" if time else "none: rigid flanks stick where they lock"
+        values.append((f"contact period T_c{f', {name}' * several}", period))
     tables.print_values(values)
     if ratios:
         click.echo(
@@ -79,10 +81,6 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
             ]
         )
         click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
-
-
-def _period(time: float) -> str:
-    return f"{1e3 * time:.2f} ms" if time else "none: rigid flanks stick where they lock"
 
 
 def _rows(modes: Modes, names: tuple[str, ...]) -> list[dict[str, str]]:
