@@ -29,7 +29,7 @@ from clunk.results.quantities import LABEL, OF_RUNS
 from clunk.study.arrays import Codes, Floats, Records
 from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.errors import ClunkError
-from clunk.study.models import lash_position
+from clunk.study.models import WhichLash, lash_position
 from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
@@ -54,7 +54,7 @@ def require_boundaries(study: Study) -> None:
         check_axis(study, axis, "boundaries")
 
 
-def is_traced(study: Study, asked: bool | None, lash: str | int | None) -> bool:
+def is_traced(study: Study, asked: bool | None, lash: WhichLash) -> bool:
     """Whether a sweep of a study traces the boundaries of its map.
 
     It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises
@@ -78,7 +78,7 @@ def boundaries(
     study: Study,
     results: Results,
     *,
-    lash: str | int | None = None,
+    lash: WhichLash = None,
     workers: int | None = None,
     progress: bool | Progress = False,
 ) -> Boundaries:
@@ -157,7 +157,7 @@ def with_boundaries(
     study: Study,
     results: AnyMap,
     *,
-    lash: str | int | None = None,
+    lash: WhichLash = None,
     **options: Any,
 ) -> AnyMap:
     """A regime map with its boundaries, traced where it has none of this lash yet; options : as of `boundaries`."""

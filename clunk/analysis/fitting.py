@@ -29,7 +29,7 @@ from clunk.study.arrays import Codes, Floats, Positions, Records
 from clunk.study.axes import variable_of
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, nearest, shorten
-from clunk.study.models import lash_position
+from clunk.study.models import WhichLash, lash_position
 from clunk.study.parameters import located, nominal_value, spellings, with_draws
 from clunk.study.rules import complaint
 from clunk.study.study import Study, takes_study
@@ -247,7 +247,7 @@ def fit(
     *,
     progress: bool | Progress = False,
     workers: int | None = None,
-    lash: str | int | None = None,
+    lash: WhichLash = None,
 ) -> Fitted:
     """Fit the parameters of a study to measured sequences of impacts.
 

@@ -23,7 +23,7 @@ from clunk.simulation.load import cases_of
 from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.designs import design_of, nominal
 from clunk.study.errors import ClunkError
-from clunk.study.models import Optimize, lash_position
+from clunk.study.models import Optimize, WhichLash, lash_position
 from clunk.study.parameters import drawn_numbers, nominal_value, with_draws
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values, takes_study
@@ -130,7 +130,7 @@ class Problem:
     def __init__(
         self,
         study: Study,
-        lash: str | int | None = None,
+        lash: WhichLash = None,
         workers: int | None = None,
         traded: str = "",
     ) -> None:
@@ -317,7 +317,7 @@ def _table(study: Study) -> Optimize:
 def optimize(
     study: Study,
     *,
-    lash: str | int | None = None,
+    lash: WhichLash = None,
     workers: int | None = None,
     progress: bool | Progress = False,
 ) -> Optimum:
@@ -362,7 +362,7 @@ def front(
     study: Study,
     quantity: str,
     *,
-    lash: str | int | None = None,
+    lash: WhichLash = None,
     workers: int | None = None,
     progress: bool | Progress = False,
 ) -> Front:

@@ -18,7 +18,7 @@ from clunk.study.arrays import Floats, Positions
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.loads import PROFILES
-from clunk.study.models import lash_position
+from clunk.study.models import WhichLash, lash_position
 from clunk.study.parameters import nominal_value
 from clunk.study.records import Record, tells, told, words
 from clunk.study.study import Study, takes_study
@@ -119,7 +119,7 @@ def sensitivity(
     study: Study,
     *,
     of: str | Sequence[str] = (),
-    lash: str | int | None = None,
+    lash: WhichLash = None,
     workers: int | None = None,
     progress: bool | Progress = False,
 ) -> Sensitivity:

@@ -44,7 +44,7 @@ from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError, listing, nearest, shorten
-from clunk.study.models import lash_position
+from clunk.study.models import WhichLash, lash_position
 from clunk.study.parameters import drawn_numbers, numbered, spellings, with_draws
 from clunk.study.records import as_text
 from clunk.study.study import Study, takes_study
@@ -184,7 +184,7 @@ def thresholds(
     *,
     along: str,
     of: str = LABEL,
-    lash: str | int | None = None,
+    lash: WhichLash = None,
     workers: int | None = None,
     progress: bool | Progress = False,
 ) -> Thresholds:

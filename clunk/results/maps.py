@@ -34,7 +34,7 @@ from clunk.study.designs import Design
 from clunk.study.document import Document, value_at
 from clunk.study.errors import ClunkError
 from clunk.study.loads import PROFILES, numbers
-from clunk.study.models import lash_name, lash_position
+from clunk.study.models import WhichLash, lash_name, lash_position
 from clunk.study.parameters import numbered
 from clunk.study.records import Rows, as_text, counted, percent
 
@@ -179,7 +179,7 @@ class Map(Design, ABC):
             for each in axis.parameters
         }
 
-    def at_lash(self, name: str | int | None = None) -> Self:
+    def at_lash(self, name: WhichLash = None) -> Self:
         """Slice at one lash, by name or number; by default at the first. The map itself where there is only one.
 
         Raises ConfigError where there is no such lash.
@@ -210,7 +210,7 @@ class Map(Design, ABC):
         """The map of each lash, by name."""
         return {name: self.of_lash(name) for name in self.lash_names}
 
-    def of_lash(self, name: str | int | None = None) -> Self:
+    def of_lash(self, name: WhichLash = None) -> Self:
         """Map of one lash, by name or number, without the axis `lash`; by default of the first, or the only one.
 
         Raises ConfigError where there is no such lash.

@@ -44,6 +44,7 @@ _PARTS = {  # of a driveline, that a quantity can be of
     "shaft torque": ("shaft",),
     "contact torque": ("lash",),
 }
+WhichLash = str | int | None  # of several, by name or number from 1; None is the first
 _NO_SWEEP = Sweep.model_construct()
 NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that say which runs there are, and nothing of one
 
@@ -403,7 +404,7 @@ def lash_name(position: int, name: str | None) -> str:
     return name or f"lash {position + 1}"
 
 
-def lash_position(name: str | int | None, names: Sequence[str]) -> int:
+def lash_position(name: WhichLash, names: Sequence[str]) -> int:
     """Position of the lash of a name or number from 1 among those with these names; of None, the first.
 
     Raises
