@@ -390,7 +390,7 @@ def test_starts_that_found_something_else_are_not_counted(share, brief):
     values = problem(np.array(candidates)).value
     assert values[2] > 1.01 * values[0]
     problem.size = share * values[0]
-    assert optimisation._optimum(problem, study, candidates).found == 2
+    assert optimisation._optimum(problem, candidates).found == 2
 
 
 def test_candidates_beside_refused_ones_are_run_together(brief, monkeypatch):

@@ -116,7 +116,7 @@ class Outcomes(NamedTuple):
 class Problem:
     """Runs of candidates for the free numbers of a study, and how good they are.
 
-    study : with [optimize]
+    asked : the study, with [optimize]; in a trade-off, with the bound
     lash, workers : as of `optimize`
     traded : quantity that is told besides, if any
     bound : condition on it that is to hold besides, if any
@@ -134,7 +134,7 @@ class Problem:
         workers: int | None = None,
         traded: str = "",
     ) -> None:
-        self.optimize, self.runs = _table(study), 0
+        self.asked, self.optimize, self.runs = study, _table(study), 0
         self.progress: Progress = unseen
         self.bound: Quantity | None = None
         self.searches = _FRONT if traded else 1
@@ -355,7 +355,7 @@ def optimize(
     """
     problem = Problem(study, lash, workers)
     with reporting(progress, problem.study, what="runs at most") as problem.progress:
-        return _best(problem, study, *problem.explore())
+        return _best(problem, *problem.explore())
 
 
 def front(
@@ -386,7 +386,7 @@ def front(
     problem = Problem(study, lash, workers, quantity)
     with reporting(progress, problem.study, what="runs at most") as problem.progress:
         explored = problem.explore()
-        points = [_best(problem, study, *explored)]
+        points = [_best(problem, *explored)]
         if not points[0].holds:
             raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
         try:
@@ -396,7 +396,8 @@ def front(
                 condition = f"{quantity}<={bound:.6g}"
                 problem.bound = quantity_of(condition, study)
                 bounded = table.but(subject_to=(*table.subject_to, condition))
-                found = _best(problem, study.but(optimize=bounded), *explored)
+                problem.asked = study.but(optimize=bounded)
+                found = _best(problem, *explored)
                 if not found.holds:
                     break  # nor does what is tighter
                 points.append(found)
@@ -406,17 +407,17 @@ def front(
     return Front(tuple(points))
 
 
-def _best(problem: Problem, study: Study, points: Floats, values: Floats) -> Optimum:
+def _best(problem: Problem, points: Floats, values: Floats) -> Optimum:
     """The best of all starts from points that were explored. Raises KeyboardInterrupt as `optimize` does."""
     merits, found = problem.merit(problem.outcomes(points, values)), []
     try:
         for start in range(_STARTS):
             found.append(_searched(problem, points, merits, np.random.default_rng([problem.optimize.seed, start])))
     except KeyboardInterrupt as stopped:
-        best = _optimum(problem, study, found or [points[merits.argmin()]])
+        best = _optimum(problem, found or [points[merits.argmin()]])
         stopped.args = (best if found else replace(best, found=0), *stopped.args)
         raise
-    return _optimum(problem, study, found)
+    return _optimum(problem, found)
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:
@@ -440,7 +441,7 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
     return result.x
 
 
-def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum:
+def _optimum(problem: Problem, found: Sequence[Floats]) -> Optimum:
     """The best of the candidates that starts have found."""
     outcomes = problem(np.array(found))
     k = int(problem.merit(outcomes).argmin())
@@ -450,7 +451,7 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
     quantities = {name: values[k].item() for name, values in outcomes.quantities.items()}
     before = problem(problem.as_it_is).quantities | problem.parameters(problem.as_it_is)
     return Optimum(
-        study=replace_values(study, parameters),
+        study=replace_values(problem.asked, parameters),
         parameters=parameters,
         value=float(outcomes.value[k]),
         quantities=quantities,
