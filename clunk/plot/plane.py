@@ -155,9 +155,8 @@ def cell_edges(axis: ResultAxis) -> Floats:
         half = 0.5 * (abs(values[0]) or 1.0)
         return np.array([values[0] - half, values[0] + half])
     to, back = ruler(axis)
-    scaled = to(values)
-    middle = 0.5 * (scaled[1:] + scaled[:-1])
-    return back(np.concatenate(([2 * scaled[0] - middle[0]], middle, [2 * scaled[-1] - middle[-1]])))
+    scaled = np.pad(to(values), 1, "reflect", reflect_type="odd")  # beyond both ends as far apart as at them
+    return back(0.5 * (scaled[1:] + scaled[:-1]))
 
 
 def cells_of(axis: ResultAxis, at: Floats) -> Positions:
