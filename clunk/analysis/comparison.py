@@ -146,15 +146,16 @@ def compare(a: Results, b: Results) -> Comparison:
     >>> clunk.compare(*maps).differing
     0
     """
-    for each in (a, b):
+    maps = a, b
+    for each in maps:
         if not isinstance(each, Results):
             raise ClunkError(f"Two regime maps are compared; a {type(each).__name__} is none.")
     _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
     # of each map's codes those among all labels; the code of a failed cell, -1, takes the last entry
-    among = (np.array([*map(labels.index, each.labels), FAILED_CODE], np.intp) for each in (a, b))
-    codes_a, codes_b = (codes[each.sequence] for codes, each in zip(among, (a, b), strict=True))
+    among = (np.array([*map(labels.index, each.labels), FAILED_CODE], np.intp) for each in maps)
+    codes_a, codes_b = (codes[each.sequence] for codes, each in zip(among, maps, strict=True))
     failed_a, failed_b = codes_a == FAILED_CODE, codes_b == FAILED_CODE
     compared = ~(failed_a | failed_b)
     differs = compared & (codes_a != codes_b)
@@ -164,7 +165,7 @@ def compare(a: Results, b: Results) -> Comparison:
     transitions = Counter(sorted(pairs)).most_common()  # those as frequent in the order of the labels
     identical = content_digest(dataset_of(a)) == content_digest(dataset_of(b))
     return Comparison(
-        maps=(a, b),
+        maps=maps,
         labels=labels,
         codes_a=codes_a,
         codes_b=codes_b,
@@ -173,7 +174,7 @@ def compare(a: Results, b: Results) -> Comparison:
         identical=identical,
         configs_equal=a.config_digest == b.config_digest,
         largest_differences=() if identical else tuple(_largest_differences(a, b, compared & ~differs)),
-        config_differences=_unlike(*(dict(leaves(each.tables)) for each in (a, b))),
+        config_differences=_unlike(*(dict(leaves(each.tables)) for each in maps)),
         provenance_differences=_unlike(a.attributes | {"created": ""}, b.attributes | {"created": ""}),
         verdict=_verdict(cells, differing, elsewhere),
         titles={"a": a.title, "b": b.title},
