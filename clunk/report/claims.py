@@ -183,9 +183,10 @@ def _chatter(run: Trajectory) -> tuple[Floats, Floats]:
 
 def _linear_view(e: Evidence) -> Iterator[Claim]:
     expected, levels = [1.46, 3.13, 6.69, 14.32], np.arange(4) + 0.5  # of n_c
+    lowest = e.modes.damping_ratio[0]
     one_mode, exact = one_mode_thresholds(e.study), rigid_contact_thresholds(e.study)
-    without = np.exp(e.modes.damping_ratio[0] * levels)
-    periods = periods_in_envelope(NOMINAL_RATIO, e.modes.damping_ratio[0])
+    without = np.exp(lowest * levels)
+    periods = periods_in_envelope(NOMINAL_RATIO, lowest)
     holds = [round(ratio, 2) for ratio in one_mode] == expected
     yield _contradicts(
         "Eq. 3.1",
@@ -202,7 +203,7 @@ def _linear_view(e: Evidence) -> Iterator[Claim]:
         f"all modes: {_numbers(exact, 2)}; within {apart:.1%}",
         apart < 0.03,
     )
-    first, second = (periods_in_envelope(ratio, e.modes.damping_ratio[0]) for ratio in expected[:2])
+    first, second = (periods_in_envelope(ratio, lowest) for ratio in expected[:2])
     yield _contradicts(
         "§3.2",
         "0.5 < n_c > 1.5",

@@ -357,7 +357,7 @@ def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Ch
         inputs=apart @ system.inputs,
         functionals=product(system.functionals, together),
     )
-    apart, together = apart[..., 0, : 2 * n, : 2 * n], together[..., 0, : 2 * n, : 2 * n]
+    apart, together = (matrix[..., 0, : 2 * n, : 2 * n] for matrix in (apart, together))
     return system, [
         chain._replace(expand=product(apart, chain.expand), pick=chain.pick @ together, shift=apart @ chain.shift)
         for chain in chains

@@ -169,9 +169,10 @@ def sample(
     """
     study, system = trajectory.study, build(trajectory.study)
     inputs_before, load = run_load(study)
-    until = until or study.load.step_time + study.solver.end_time
+    step_time = study.load.step_time
+    until = until or step_time + study.solver.end_time
     step = step or max(study.solver.step, until / _DRAWN)
-    begin, end = -study.load.step_time, until - study.load.step_time
+    begin, end = -step_time, until - step_time
     count = (end - begin) / step + 2.0 * trajectory.events.size
     if count > LARGEST:
         raise ClunkError(
@@ -195,7 +196,7 @@ def sample(
     return History(
         name=study.title if name is None else name,
         trajectory=trajectory,
-        time=study.load.step_time + after_step,
+        time=step_time + after_step,
         after_step=after_step,
         angle=angle,
         velocity=velocity,
