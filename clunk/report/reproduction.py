@@ -6,9 +6,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from clunk import plot
 from clunk.analysis.comparison import compare
-from clunk.plot import analyses, histories
+from clunk.plot import draw, save
+from clunk.plot.analyses import difference_map, experiment_map, measured_on_maps
+from clunk.plot.histories import history_figure, small_gap
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import write_text
@@ -25,7 +26,7 @@ _NAMES = {"indentation": "IFM", "restitution": "RCM"}
 def save_all(evidence: Evidence, claims: Sequence[Claim], directory: Path) -> None:
     """Write the figures, the results files behind them and the claims into a directory."""
     for name, make in figures(evidence).items():
-        plot.save(make(), directory / f"{name}.png")
+        save(make(), directory / f"{name}.png")
     for name, results in evidence.maps.items():
         write_results(directory / f"{name}.h5", results)
     write_text(directory / "claims.json", json.dumps(plain(claims), indent=1, ensure_ascii=False) + "\n")
@@ -65,19 +66,19 @@ def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
     all_runs = [run(name, ratio) for ratio in RATIOS for name in _NAMES]
     between = compare(maps["indentation"], maps["restitution"])
     return {
-        "figure_3_1": lambda: histories.history_figure([run("indentation")], "angles"),
-        "figure_3_2": lambda: histories.history_figure(all_runs, "backlash"),
-        "figure_3_3": lambda: histories.history_figure(both, "closeup"),
-        "figure_3_4": lambda: plot.draw(maps["indentation"], "regimes", thresholds),
-        "figure_3_4_restitution": lambda: plot.draw(maps["restitution"], "regimes", thresholds),
-        "figure_3_4_difference": lambda: analyses.difference_map(maps["indentation"], between),
-        "figure_3_4_as_printed": lambda: plot.draw(maps["as_printed"], "regimes"),
-        "figure_3_5": lambda: histories.small_gap(e.study.title, SmallGap.of(e.study)),
-        "figure_3_6": lambda: histories.history_figure([run("indentation", until=1.5)], "acceleration"),
-        "figure_3_7": lambda: plot.draw(maps["indentation"], "severity"),
-        "figure_3_7_by_force": lambda: plot.draw(maps["by_force"], "severity"),
-        "figure_3_7_velocity": lambda: plot.draw(maps["indentation"], "approach_velocity"),
-        "figure_3_7_velocity_restitution": lambda: plot.draw(maps["restitution"], "approach_velocity"),
-        "table_4_1": lambda: analyses.experiment_map(maps["indentation"], e.measured),
-        "table_4_1_fitted": lambda: analyses.measured_on_maps(e.fitted),
+        "figure_3_1": lambda: history_figure([run("indentation")], "angles"),
+        "figure_3_2": lambda: history_figure(all_runs, "backlash"),
+        "figure_3_3": lambda: history_figure(both, "closeup"),
+        "figure_3_4": lambda: draw(maps["indentation"], "regimes", thresholds),
+        "figure_3_4_restitution": lambda: draw(maps["restitution"], "regimes", thresholds),
+        "figure_3_4_difference": lambda: difference_map(maps["indentation"], between),
+        "figure_3_4_as_printed": lambda: draw(maps["as_printed"], "regimes"),
+        "figure_3_5": lambda: small_gap(e.study.title, SmallGap.of(e.study)),
+        "figure_3_6": lambda: history_figure([run("indentation", until=1.5)], "acceleration"),
+        "figure_3_7": lambda: draw(maps["indentation"], "severity"),
+        "figure_3_7_by_force": lambda: draw(maps["by_force"], "severity"),
+        "figure_3_7_velocity": lambda: draw(maps["indentation"], "approach_velocity"),
+        "figure_3_7_velocity_restitution": lambda: draw(maps["restitution"], "approach_velocity"),
+        "table_4_1": lambda: experiment_map(maps["indentation"], e.measured),
+        "table_4_1_fitted": lambda: measured_on_maps(e.fitted),
     }
