@@ -21,9 +21,9 @@ from clunk.study.designs import design_of_points
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.study import Study, takes_study
-from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
+from clunk.sweeping.sweep import HAS_TOLERANCES, engine_of, opened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,9 +99,9 @@ def sweep(
     160
     """
     if study.swept.tolerances:
-        raise ClunkError(sweeping.HAS_TOLERANCES)
+        raise ClunkError(HAS_TOLERANCES)
     traces = is_traced(study, boundaries, lash)
-    engine = sweeping.engine_of(scheduler, workers)
+    engine = engine_of(scheduler, workers)
 
     trace = partial(with_boundaries, study, lash=lash, workers=workers, progress=progress is True)
     results = _run(study, output, progress, engine, addition=trace if traces else None, restart=restart, force=force)
@@ -149,7 +149,7 @@ def tolerance_map(
     """
     if not study.swept.tolerances:
         raise ClunkError("The study has no [[sweep.tolerances]]: clunk.sweep runs it.")
-    probabilities = _run(study, output, progress, sweeping.engine_of(scheduler, workers), restart=restart, force=force)
+    probabilities = _run(study, output, progress, engine_of(scheduler, workers), restart=restart, force=force)
     assert isinstance(probabilities, ToleranceMap)
     return probabilities
 
@@ -200,7 +200,7 @@ def run_points(
         raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
     design = design_of_points(study, points)
     values = np.stack([axis.values for axis in design.coordinates], axis=-1)
-    with sweeping.engine_of(scheduler, workers) as engine:
+    with engine_of(scheduler, workers) as engine:
         runner = Runner(study, [axis.parameter for axis in design.coordinates], engine=engine)
         with reporting(progress, runner.study) as report:
             return runner.run(values, report)
@@ -274,7 +274,7 @@ def _run(
     """The map of a study's sweep, or the one that its file already has; addition : adds to it when it is finished."""
     path = None if output is None else Path(output)
     files.check(path, files.RESULTS)
-    with sweeping.opened(path, study, restart=restart, force=force) as job:
+    with opened(path, study, restart=restart, force=force) as job:
         result = job.held
         if result is None:
             with engine as executor:
