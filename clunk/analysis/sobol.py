@@ -15,6 +15,7 @@ from clunk.core.status import Status
 from clunk.results.maps import QUANTILES, Results
 from clunk.results.quantities import TEXT, WHY_UNDEFINED, Quantity, measuring, quantity_of
 from clunk.study.arrays import Floats, Positions
+from clunk.study.axes import parameters_of
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.loads import PROFILES
@@ -160,7 +161,7 @@ def sensitivity(
     position = lash_position(lash, study.lash_names)  # before any run, or it is refused
     hardness = "approach_velocity" if point.has_rigid_flanks else "severity"
     names = [of] if isinstance(of, str) else of or (hardness, "nominal_label")
-    parameters = tuple(draw.parameter for draw in point.swept.tolerances)
+    parameters = tuple(parameters_of(point.swept.tolerances))
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
     if any(each.type == TEXT for each in quantities):
         raise ClunkError("The label is no number; nominal_label, double_sided and label=DS(1)SS(1) are 1 or 0.")
@@ -205,7 +206,7 @@ def operating_point(study: Study) -> Study:
             "There is no spread to divide: the config has no [[sweep.tolerances]], one for each parameter that is "
             "drawn (clunk help tolerances)."
         )
-    parameters = [draw.parameter for draw in swept.tolerances]
+    parameters = parameters_of(swept.tolerances)
     if twice := next((each for each in parameters if parameters.count(each) > 1), None):
         raise ClunkError(f"{twice} has two tolerances; Sobol indices are those of parameters with one each.")
     count = swept.sampling.count

@@ -242,7 +242,7 @@ def thresholds(
     tolerances = study.swept.tolerances
     drawn = drawn_numbers(study, tolerances)
     keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
-    keys = [*dict.fromkeys([*keys, *(tolerance.parameter for tolerance in tolerances)])]
+    keys = [*dict.fromkeys([*keys, *parameters_of(tolerances)])]
     scanned = np.arange(design.cells).repeat(len(along_axis))
     with engine_of(None, workers) as engine, reporting(progress, study, what="runs") as report:
         point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)

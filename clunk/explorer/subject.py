@@ -82,7 +82,7 @@ class Subject:
         swept, whole = self._study_of_map(cell, numbers).swept, self._toleranced.swept
         if whole.tolerances and not numbers:
             swept = swept.but(tolerances=whole.tolerances, sampling=whole.sampling)
-        drawn = {each.parameter for each in swept.samples}
+        drawn = parameters_of(swept.samples)
         kept = {key: value for key, value in self.values(cell).items() if key not in drawn}
         return to_toml(replace_values(self.study, kept | numbers).but(sweep=swept))
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
+from clunk.study.sweeps import Varied
 
 RUN = "run"  # the dimension of what is walked or drawn together
 LASH = "lash"  # the last dimension of results of several lashes
@@ -102,9 +103,9 @@ class ResultAxis:
         return np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0
 
 
-def parameters_of(axes: Iterable[ResultAxis]) -> list[str]:
-    """The parameter of each axis."""
-    return [axis.parameter for axis in axes]
+def parameters_of(varied: Iterable[ResultAxis | Varied]) -> list[str]:
+    """The parameter of each axis, or of each key that is drawn."""
+    return [each.parameter for each in varied]
 
 
 def run_axis(along: Iterable[ResultAxis]) -> ResultAxis:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clunk.study.arrays import Floats
-from clunk.study.axes import variable_of
+from clunk.study.axes import parameters_of, variable_of
 from clunk.study.document import Place, dotted, items_of, value_at
 from clunk.study.errors import ConfigError, listing, shorten
 from clunk.study.keys import validated
@@ -196,7 +196,7 @@ def varied_tables(config: Any) -> list[tuple[Place, Any]]:
 
 def _varied(config: Config) -> Findings:
     """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
-    swept = {axis.parameter for axis in config.swept.axes}
+    swept = parameters_of(config.swept.axes)
     for table, verb in _VARIED.items():
         taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
         for k, entry in enumerate(items_of(value_at(config, table))):

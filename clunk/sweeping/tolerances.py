@@ -50,7 +50,7 @@ class SampleGrid(Grid):
         super().__init__(study)
         self._tolerances = study.swept.tolerances
         keys = dict.fromkeys(parameters_of(self.design.parameters))
-        keys |= dict.fromkeys(draw.parameter for draw in self._tolerances)
+        keys |= dict.fromkeys(parameters_of(self._tolerances))
         alone = study.but(sweep=None, solver=study.solver.but(margin_tolerance=0.0))
         self._of_runs = Grid(alone, along_run((key, np.zeros(1)) for key in keys))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
@@ -66,7 +66,7 @@ class SampleGrid(Grid):
     @property
     def sample(self) -> tuple[ResultAxis, ...]:
         """The drawn numbers of each tolerance; those of a key that has several are named after what is drawn, too."""
-        sample, count = [], Counter(each.parameter for each in self._tolerances)
+        sample, count = [], Counter(parameters_of(self._tolerances))
         suffix = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
         for tolerance, numbers in zip(self._tolerances, self.drawn, strict=True):
             parameter, draws, known = tolerance.parameter, tolerance.draws, quantity(tolerance.parameter)
