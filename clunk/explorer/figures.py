@@ -26,14 +26,14 @@ from clunk.plot.labelling import roomiest
 from clunk.plot.layers import Layers
 from clunk.plot.maps import cell_colours, shades_of
 from clunk.plot.plane import View, cells_of, ruler, value_text
-from clunk.plot.style import FAILED_FILL, FAINT_INK, INK, LINE_COLOURS, Look, bare, capital
+from clunk.plot.style import FAILED_FILL, FAINT_INK, INK, LINE_COLOURS, Look, bare
 from clunk.results.maps import AnyMap
 from clunk.results.quantities import YES_NO
 from clunk.simulation.history import History
 from clunk.study.arrays import Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
-from clunk.study.records import html_table
+from clunk.study.records import capital, html_table
 from clunk.study.tables import Quantity
 
 RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the run that is shown, and of those that are pinned

@@ -24,7 +24,6 @@ from clunk.plot.style import (
     LINE_COLOURS,
     Look,
     PlotError,
-    capital,
     colour_of,
     lay_out,
     new_figure,
@@ -43,7 +42,7 @@ from clunk.results.quantities import quantity_of
 from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.designs import axis_of
 from clunk.study.parameters import quantity
-from clunk.study.records import counted, fill, words
+from clunk.study.records import capital, counted, fill, words
 
 _RARE_COLOUR = "#a9adb0"
 _MARKED = 6  # transitions with colours of their own

@@ -10,11 +10,12 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from clunk.plot.style import MINUS, PlotError, bare, capital, plain, symbol_text
+from clunk.plot.style import MINUS, PlotError, bare, plain, symbol_text
 from clunk.results.maps import Map
 from clunk.study.arrays import Array, Floats, Positions
 from clunk.study.axes import RUN, ResultAxis, parameters_of
 from clunk.study.parameters import numbered
+from clunk.study.records import capital
 
 _X = "load.ratio"  # from left to right wherever it is an axis
 USUAL = (_X, "lash.backlash_deg")  # stay axes of a map where others are fixed

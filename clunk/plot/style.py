@@ -170,11 +170,6 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def capital(text: str) -> str:
-    """Text with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
 def bare(symbol: str) -> str:
     """Symbol without its definition: σr of σr = Td/Ts."""
     return symbol.split("=")[0].strip()

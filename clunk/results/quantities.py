@@ -46,6 +46,7 @@ from clunk.results.labels import FAILED, FAILED_CODE, double_sided, normalised_l
 from clunk.study.arrays import Array
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import OF_IMPACTS
+from clunk.study.records import capital
 from clunk.study.study import Study
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ class Quantity(NamedTuple):
     @property
     def plot_label(self) -> str:
         """Name, symbol and unit beside an axis or a colour bar, e.g. ``Severity Q [rad/s²]``."""
-        title = self.title or self.words[:1].upper() + self.words[1:]
+        title = self.title or capital(self.words)
         return title + self.heading_with_unit.removeprefix(self.words)
 
     def meanings(self, labels: Sequence[str]) -> dict[int, str]:

@@ -17,7 +17,7 @@ from clunk.simulation.batches import of_system, prepare_one
 from clunk.simulation.load import cases_of
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
-from clunk.study.records import Rows, as_text
+from clunk.study.records import Rows, as_text, capital
 from clunk.study.study import Study, takes_study
 
 _LAST = 1000  # events of a run that has too many: what repeats is among them
@@ -261,8 +261,7 @@ def _repeating(study: Study, phases: Records) -> str:
 
 
 def _sentence(study: Study, status: Status) -> str:
-    text = driveline.explained(study, status)
-    return text[0].upper() + text[1:] + "."
+    return capital(driveline.explained(study, status)) + "."
 
 
 def _line(run: Trajectory) -> tuple[str, str]:

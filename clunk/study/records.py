@@ -290,6 +290,11 @@ def percent(part: int, whole: int) -> str:
     return f"{share:.2g} %" if share < 10 else f"{share:.4g} %" if share > 99 else f"{share:.3g} %"
 
 
+def capital(text: str) -> str:
+    """Text with a capital first letter."""
+    return text[:1].upper() + text[1:]
+
+
 def cut(text: str, width: int) -> str:
     """A text of at most `width` characters, the last of them … where it was longer."""
     return text if len(text) <= width else text[: width - 1] + "…"
