@@ -43,6 +43,7 @@ Looks = dict[str, Look]  # colour, dashes and width of the curves of each run, b
 _WIDTH, _AROUND, _LOWEST = 7.2, 1.2, 4.6  # inches: of a figure, around its panels, and its least height
 _LINE = 1.3  # points
 _PATTERNS: tuple[Any, ...] = ("solid", DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
+_DOTTED = (0, (1.0, 2.0))
 _CLOSE, _BEFORE, _TICK = 0.1, 0.03, 0.01  # s: of a close-up, of it before the impact, and between its ticks
 _GAP_FILL = "#e4e4e4"
 _LEAST = 1e-6  # mm, of a coordinate: locked flanks stay together but for rounding, which is nothing to look at
@@ -113,7 +114,7 @@ def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     for ax in axes:
         tidy(ax)
         for step_time in {run.study.load.step_time for run in runs}:
-            ax.axvline(step_time, color=FAINT_INK, linewidth=0.7, linestyle=(0, (1.0, 2.0)), zorder=1)
+            ax.axvline(step_time, color=FAINT_INK, linewidth=0.7, linestyle=_DOTTED, zorder=1)
     return figure, axes
 
 
@@ -301,7 +302,7 @@ def small_gap(title: str, response: SmallGap) -> Figure:
         ax.plot(time, response.end + side * swing, color=LINE_COLOURS[1], linestyle=DASHED, label=label)
     ax.plot(time, response.torque, color=LINE_COLOURS[0], linewidth=1.5, zorder=4, label="response")
     ax.axhline(0.0, color=INK, linewidth=1.0, zorder=2)
-    ax.axhline(response.end, color=FAINT_INK, linewidth=0.9, linestyle=(0, (1.0, 2.0)), label="equilibrium")
+    ax.axhline(response.end, color=FAINT_INK, linewidth=0.9, linestyle=_DOTTED, label="equilibrium")
     crossing = "the exponential decay never crosses zero"
     if np.isfinite(response.periods):
         formula = f"{symbol_text('nc')} = ln|{symbol_text('σr')}| / (2π {symbol_text('ζ1')})"
