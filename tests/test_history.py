@@ -141,6 +141,12 @@ def test_complete_run_goes_on_to_rest():
     assert sampled.angle[-1, 3] == pytest.approx(-1.0 / 31.3, rel=1e-6)
 
 
+@pytest.mark.parametrize("options", [{"until": 0.0}, {"until": 0.1}, {"step": 0.0}, {"step": -1e-3}])
+def test_no_samples_are_refused_in_one_sentence(options):
+    with pytest.raises(ClunkError, match=r"^A run cannot be sampled until .*, 0\.1 s, and step greater than 0\.$"):
+        sample(run(), **options)
+
+
 def test_too_many_samples_are_refused_in_one_sentence():
     with pytest.raises(ClunkError, match=r"10,000,000 is the limit.*\.$"):
         sample(run(), step=1e-8)

@@ -170,8 +170,13 @@ def sample(
     study, system = trajectory.study, build(trajectory.study)
     inputs_before, load = run_load(study)
     step_time = study.load.step_time
-    until = until or step_time + study.solver.end_time
-    step = step or max(study.solver.step, until / _DRAWN)
+    until = step_time + study.solver.end_time if until is None else until
+    step = max(study.solver.step, until / _DRAWN) if step is None else step
+    if not (until > step_time and step > 0.0):
+        raise ClunkError(
+            f"A run cannot be sampled until {until:g} s by steps of {step:g} s: until must be more than the time of "
+            f"the load step, {step_time:g} s, and step greater than 0."
+        )
     begin, end = -step_time, until - step_time
     count = (end - begin) / step + 2.0 * trajectory.events.size
     if count > LARGEST:

@@ -74,7 +74,7 @@ def spellings(document: Any) -> dict[str, str]:
             for parameter in known:
                 if parameter == item or parameter.startswith(f"{item}."):
                     leaf = parameter.removeprefix(item)
-                    written |= {f"{listed}[{number}]{leaf}": parameter, f"{listed}[{name}]{leaf}": parameter}
+                    written |= {f"{listed}[{way}]{leaf}": parameter for way in (number, name) if way is not None}
     return written
 
 
