@@ -191,6 +191,10 @@ Y = replace(BACKLASH, values=np.array([0.0, 5.0]))
     ("axes", "found"),
     [
         ((Y, X), "in A and lash.backlash_deg (2 values), load.ratio (3 values) in B"),
+        (
+            (X, replace(Y, parameter="lash", words=("gear", "drive"))),
+            "in A and load.ratio (3 values), lash (gear, drive) in B",
+        ),
         ((X,), "they sweep load.ratio (3 values), lash.backlash_deg (2 values) in A and load.ratio (3 values) in B"),
         ((replace(X, values=np.array([0.0, 2.0])), Y), "load.ratio (2 values), lash.backlash_deg (2 values) in B"),
         ((X, replace(Y, values=np.array([0.0, 5.001]))), "value 2 of lash.backlash_deg is 5 in A and 5.001 in B"),

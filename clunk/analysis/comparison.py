@@ -241,7 +241,7 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
 
 def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:
     swept = [
-        ", ".join(axis.spread if axis.words else f"{axis.parameter} ({len(axis)} values)" for axis in axes)
+        ", ".join(f"{axis.parameter} ({axis.spread if axis.words else f'{len(axis)} values'})" for axis in axes)
         for axes in (a, b)
     ]
     if swept[0] != swept[1]:
