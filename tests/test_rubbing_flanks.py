@@ -171,6 +171,37 @@ def test_frictions_of_equal_branches_slip_and_stick_together_by_rk4():
     assert rk4.touches == by_modes.touches == 0
 
 
+def branched(branches):
+    """A trunk with equal branches, each behind a rigid lash and a shaft that rubs; together they are one branch."""
+    share = 1.0 / branches
+    inertias, shafts, lashes = [0.0393, 0.0257], ["{ between = [1, 2], stiffness = 9280.0, damping = 0.3 }"], []
+    for first in range(3, 3 + 2 * branches, 2):
+        inertias += [0.00721 * share, 0.0795 * share]
+        rubbing = f"stiffness = {1130.0 * share}, damping = {0.379 * share}, friction = {1.32 * share}"
+        shafts.append(f"{{ between = [{first}, {first + 1}], {rubbing} }}")
+        held = f"stiffness = {4170.0 * share}, damping = {1.82 * share}"
+        shafts.append(f"{{ between = [{first + 1}, 'ground'], {held} }}")
+        flanks = "radius = 0.05, contact = { model = 'restitution', restitution = 0.2 }"
+        lashes.append(f"{{ between = [2, {first}], backlash_deg = 0.126, {flanks} }}")
+    return clunk.study_from_text(f"""
+        driveline.inertias = {inertias}
+        driveline.shafts = [{", ".join(shafts)}]
+        lash = [{", ".join(lashes)}]
+        load = {{ on = 1, profile = "table", times = [0, 0.05, 0.1, 0.2], torques = [11.0, -5.5, 7.7, -9.7] }}
+        impacts = {{ acceleration_of = 2, sticking_time = 2e-3 }}
+        solver = {{ method = "exact", end_time = 0.4 }}
+        """)
+
+
+def test_rigid_flanks_of_equal_branches_whose_shafts_rub_touch_together():
+    """Of equal frictions one set off at a rate, and the other at none: their flanks then touched 1e-12 s and more
+    apart, one after the other."""
+    one = simulate(branched(1)).lashes[0]
+    for branches in (2, 3):
+        for lash in simulate(branched(branches)).lashes:
+            assert (lash.label, lash.touches) == (one.label, one.touches)
+
+
 def study_of(plant):
     return reference.study_of(plant, end_time=END_TIME)
 

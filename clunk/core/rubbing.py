@@ -49,9 +49,10 @@ WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of
 # s, for which the terms of an acceleration make a rate: one that could be rounding; one above the rounding of rk4's
 # states, which counts as zero at rest; and one above that of the slowest modes, by exact
 _STARTING_TIME, OF_STEPS, OF_MODES = 1e-4, 3e-4, 0.1
-# Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
-# tells that it does, but not what sets it in motion. What sticks to it goes along.
-_KICK = 1e-13
+# Of what it could be: the rate with which frictions set off that begin to slip at one time, or where rounding tells
+# that one does; and how near to that all of them are brought, or rigid flanks of equal branches would touch one by one.
+_KICK, _EQUAL = 1e-13, 1e-15
+_MOST_KICKS = 100  # of each friction: they change each other's rates, by less and less
 
 
 @inlined_part
@@ -138,9 +139,11 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     failed = regime if ended >= 0 and event < 0 else -1
     best = _fitting(at, resting_on, failed, event, resting, locked)
 
-    zero_guard, zero_order, is_set_off = -1, 0, False
-    for j in range(count):
-        k = (event + 1 + j) % count  # the event's comes last: it may go along with one that is set off
+    zero_guard, zero_order, is_set_off, kicked = -1, 0, False, 0
+    for j in range(_MOST_KICKS * count):
+        if j - kicked == count:  # all have their rates
+            break
+        k = (event + 1 + j) % count  # the event's comes last: another one may be set off
         state, row, functional = system.friction_states[best, k], system.frictions[k], rate_of_friction(system, k)
         way, (rate, most) = 1.0 if state == SLIPS_FORWARD else -1.0, _rate(system, row, 0.0, x)
         if state == STICKS:
@@ -149,15 +152,15 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
         # or slips the other way, which is rounding where two begin at one time
         elif (resting >> k & 1 or way * rate < 0.0) and not _is_held(system, best, functional):
             speeds_up, size = derivative(at, best, functional, 1)
-            clearly, kick = abs(speeds_up) > at.within * size, _KICK * (most + at.rounded * size)
+            clearly, kick = way * speeds_up > at.within * size, _KICK * (most + at.rounded * size)
             sets_off = clearly or way * derivative(at, best, functional, 2)[0] > 0.0
-            if k == event and is_set_off and way * rate > 0.5 * kick:
+            if is_set_off and abs(rate - way * kick) <= _EQUAL * most:
                 continue
-            if sets_off and (k == event or (event < 0 and zero_guard < 0)):
+            if sets_off and not is_set_off and (k == event or (event < 0 and zero_guard < 0)):
                 zero_guard, zero_order = guard_of(system, best, functional, way), 1 if clearly else 2
             else:
                 _speed_up(system, k, system.regimes[best].flow, way * kick - rate, x)
-                is_set_off = True
+                zero_guard, zero_order, is_set_off, kicked = -1, 0, True, j
     return best, zero_guard, zero_order
 
 
