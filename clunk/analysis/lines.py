@@ -29,7 +29,7 @@ from clunk.study.arrays import Array, Bools, Codes, Floats, Nodes
 CHORD = 1.3e-4  # of the map, that a line may be off its chord
 JUNCTION = 5e-8  # of the map, a triangle in which three labels meet
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
-_MOST_ROUNDS, _LAST_ROUNDS = 128, 32  # of these, those in which flat triangles are asked too
+_MOST_ROUNDS, _LAST_ROUNDS = 128, 8  # of these, those in which flat triangles are asked too
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 4  # on an edge, that are told apart
 _LONG = 0.5  # of a triangle's longest edge
