@@ -229,7 +229,8 @@ class Lines:
     def __init__(self, triangles: Triangles, run: Callable[[Floats], Points], cost: int, beside: int) -> None:
         self.triangles, self._run_points = triangles, run
         self._most_runs, self._beside = most_runs(_cost_of(triangles.runs), cost), beside
-        self._spent, self._rounds, self._asks_flat = 0, 0, False
+        self._spent, self._rounds = 0, 0
+        self._asks_flat = False  # whether triangles not as high as `CHORD` are asked, too
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._cuts: list[tuple[Codes, Floats, Points]] = []
         self.runs = np.zeros((0, 2), POINT)

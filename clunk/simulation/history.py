@@ -158,8 +158,8 @@ def sample(
     step : float, optional  [s]
         Between samples; by default the solver's step, or longer where that makes more than 100,000.
     until : float, optional  [s]
-        On the axis of `History.time`; by default the run's end time. A run of which it is proved that nothing follows
-        may be sampled for longer than it was computed.
+        On the axis of `History.time`, after the load step; by default the run's end time. A run of which it is proved
+        that nothing follows may be sampled for longer than it was computed.
     name : str, optional
         For legends; by default the study's title.
 
