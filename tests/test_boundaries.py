@@ -113,6 +113,24 @@ def test_beside_a_chord_that_is_not_unresolved_a_label_changes(width, values):
     assert (labels != labels[0]).any(axis=0)[is_told].all()
 
 
+def test_triangles_whose_height_rounding_would_take_are_not_cut_and_are_told_as_unresolved():
+    """Cut further, they turned over, and made regions without area."""
+
+    def run(points):
+        runs = np.zeros(len(points), POINT)
+        runs["outcome"], runs["measure"] = 10.0 * points[:, 0], np.nan
+        return runs
+
+    across, upward = np.linspace(0.0, 1.0, 3), np.array([0.0, 5e-12, 1.0])
+    grid = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
+    triangles = lines.Triangles(across, upward, run(grid).reshape(3, 3))
+    traced = lines.Lines(triangles, run, 20, 0)
+    traced.trace()
+    assert triangles.positions[9:, 1].min() > 5e-12
+    assert traced.unresolved[:, 1].min() < 5e-12
+    assert traced.unresolved[:, 1].max() < 5e-11  # above them all lines are told
+
+
 def test_junctions_do_not_depend_on_the_start(coarse, finer):
     """Figure 3.4 has three feet, at which three labels meet on the frame, and two crossings of boundaries, of four.
 

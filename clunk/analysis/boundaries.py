@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from clunk.analysis.lines import CHORD, TOUCHES, Lines, Triangles
-from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
+from clunk.analysis.network import SAME, Path, Ring, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.search import POINT, PointRuns, check_axis, grid_axes, in_halves
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.status import Status
@@ -123,8 +123,9 @@ def boundaries(
         lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost, beside)
         lines.trace()
         paths = paths_of(*lines.segments(), lines.position)
-        regions = regions_of(rings_of(paths, triangles.outcome[0]))
-        paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
+        # none within a junction
+        regions = regions_of([ring for ring in rings_of(paths, triangles.outcome[0]) if _extent(ring) > SAME])
+        paths = [path for path in paths if _extent(path) > SAME]
         crossings = [[node for node in path.nodes if node >= 0] for path in paths]
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
         events = events_between(point_runs.runner, engine, position, values_at(below), values_at(above))
@@ -167,6 +168,11 @@ def with_boundaries(
     if part.boundaries is not None:
         return results
     return replace(results, boundaries=boundaries(study, results, lash=lash, **options))
+
+
+def _extent(outline: Path | Ring) -> float:
+    """Of the map, the larger side of the box around a curve or a ring."""
+    return float(np.ptp(outline.vertices, axis=0).max())
 
 
 def _shares(axis: ResultAxis) -> Floats:

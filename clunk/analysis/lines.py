@@ -15,7 +15,8 @@ It ends because it takes `_MOST_ROUNDS` rounds at most, and nodes are added only
 there are (`most_runs`). Each round takes all edges and triangles that wait, so that where labels change on all scales
 nothing else has to. The network is closed whatever is cut, as it follows from the labels of the nodes alone: an edge is
 split in both of its triangles, two labels in a triangle are parted by one line from edge to edge, and three meet in a
-point. Where a line is not located, its place is kept as unresolved.
+point. No triangle turns over, as the edges of one no higher than `_THIN` are not cut. Where a line is not located, its
+place is kept as unresolved.
 """
 
 from collections.abc import Callable
@@ -29,6 +30,7 @@ from clunk.study.arrays import Array, Bools, Codes, Floats, Nodes
 CHORD = 1.3e-4  # of the map, that a line may be off its chord
 JUNCTION = 5e-8  # of the map, a triangle in which three labels meet
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
+_THIN = 1e-11  # of the map, a triangle whose edges are not cut any more: its height would be lost in rounding
 _MOST_ROUNDS, _LAST_ROUNDS = 128, 8  # of these, those in which flat triangles are asked too
 _HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
 _MOST_CROSSINGS = 4  # on an edge, that are told apart
@@ -232,6 +234,7 @@ class Lines:
         self._spent, self._rounds = 0, 0
         self._asks_flat = False  # whether triangles not as high as `CHORD` are asked, too
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
+        self._thin = np.zeros(0, np.int64)  # keys of edges of triangles no higher than `_THIN`
         self._cuts: list[tuple[Codes, Floats, Points]] = []
         self.runs = np.zeros((0, 2), POINT)
         self.met, self.met_labels = np.zeros((0, 2)), np.zeros((0, 3), np.int64)
@@ -258,6 +261,8 @@ class Lines:
             self.triangles.is_new[:] = not self._rounds
             for cut in self._cuts:
                 self.triangles.add(*cut)
+            new = self.triangles.corners[self.triangles.is_new]
+            self._thin = np.union1d(self._thin, _edges(new[_height(self.triangles.positions[new]) <= _THIN]))
             self._cuts, self._rounds = [], self._rounds + 1
             self._locate()
             self._refine()
@@ -397,6 +402,7 @@ class Lines:
         )
         edges = low["cell"]
         is_apart = (low["value"][1:] - high["value"][:-1] >= RESOLUTION) & self._may_cut() & (tolerance > TOLERANCE)
+        is_apart &= ~np.isin(keys[edges[1:]], self._thin)
         is_parted = (edges[1:] != edges[:-1]) | is_apart
         low, high = low[np.append(True, is_parted)], high[np.append(is_parted, True)]
         ends = np.stack([low, high], axis=1)[low["outcome"] != high["outcome"]]  # else a label without width
@@ -435,7 +441,11 @@ class Lines:
         to_far_end = away[np.arange(len(long)), _length(away).argmax(axis=1)]
         places = np.concatenate([places, crossing + _BESIDE * to_far_end])
         keys, at = np.unique(keys_of(*np.concatenate([off[:, 1:], long]).T), return_index=True)
-        self._cuts.append((keys, places[at], self._run(places[at])))
+        is_thin = np.isin(keys, self._thin)
+        self.unresolved = np.concatenate([self.unresolved, places[at[is_thin]]])
+        keys, at = keys[~is_thin], at[~is_thin]
+        if keys.size:
+            self._cuts.append((keys, places[at], self._run(places[at])))
 
     def _is_located(self, corners: Nodes) -> Bools:
         """Whether all crossings on the edges of triangles are located, one on each."""
