@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import margins, reference
 from helpers.agreement import TIME, both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
-from helpers.reference import CONTACTS, PROFILES, Plant, ramp, sine, smooth, table
+from helpers.reference import CONTACTS, PROFILES, Plant, lag, ramp, sine, smooth, table
 
 from clunk.simulation.driveline import Driveline, prepare
 
@@ -45,6 +45,23 @@ def test_a_wave_in_resonance(closed, mode, off, contact):
     if plant.restitution is None or not closed:  # the modes with the lash locked are others
         assert flows.modal[0, int(closed)] == (off > 1e-4)
     both_methods_are_the_reference(plant, 0.3)
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.1])
+@pytest.mark.parametrize("seconds", [1.0, 10.0, 1e3, 1e4])
+def test_a_lag_so_slow_that_it_is_a_ramp_beside_a_drift(seconds, bearing):
+    """In modes no digits were left of it at 1e4 s: 367 events for 9, and ten times the work of the load.
+
+    What is left is the rounding of a torque of 20 N m for each second, of which the run sees the first part.
+    """
+    shafts = (*UNDAMPED.shafts, (1, "ground", 0.0, bearing))
+    plant = replace(UNDAMPED, shafts=shafts, contact_damping=0.5, profile=lag(seconds), before=-6.0)
+    plant = replace(plant, after=20.0 * seconds - 6.0)
+    events = propagated(plant, end_time=1.0)
+    assert len(events) == 9
+    run = exact(plant, end_time=1.0)
+    assert kinds_of(run) == [(event.kind, event.side) for event in events]
+    assert run.events["time"] == pytest.approx([event.time for event in events], abs=4e-12 * seconds)
 
 
 # One profile as another

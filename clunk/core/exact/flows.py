@@ -66,6 +66,9 @@ _ROUNDING = 1e-12  # relative to the largest of its kind
 # be measured from the one that it has at last, and of a difference of numbers that large no digits are left.
 _TOO_SLOW = 1e-10
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
+# Of the softest mode's rate (1 rad/s without any): a wave slower than that is so with a drift as slow. In modes, what both
+# move would be the difference of numbers 1e4 times as large.
+_SLOW = 1e-2
 _GROWTH = math.exp(_SHORTEST / 2.0)
 _FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
 _FILLED = 3  # the first field of `Flows` that `_fill` fills: `build_flows` makes those before it of these
@@ -386,7 +389,9 @@ def _with_wave(
     rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # of w1 + i w2
     swings = np.sqrt(np.maximum(-block * block.mT, 0.0)).sum(axis=-1)
     away = abs(np.linalg.diagonal(block) - 1j * swings - rate).min(axis=-1, initial=np.inf)
-    modal = modal and not alike(away <= _RESONANCE * abs(rate[:, 0]), 0)
+    softest = np.where(swings > 0.0, swings, np.inf).min(axis=-1, initial=np.inf)
+    slow, own = _SLOW * np.where(softest < np.inf, softest, 1.0), abs(rate[:, 0])
+    modal = modal and not alike(away <= np.where(own < slow, slow, _RESONANCE * own), 0)
     (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))
     pushed[..., 0] = drive
     if modal:
