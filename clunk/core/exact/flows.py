@@ -66,8 +66,8 @@ _ROUNDING = 1e-12  # relative to the largest of its kind
 # be measured from the one that it has at last, and of a difference of numbers that large no digits are left.
 _TOO_SLOW = 1e-10
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
-# Of the softest mode's rate (1 rad/s without any): a wave slower than that is so with a drift as slow. In modes, what both
-# move would be the difference of numbers 1e4 times as large.
+# Of the softest mode's rate (1 rad/s without any): a wave slower than that is so with a drift as slow. In modes, what
+# both move would be the difference of numbers 1e4 times as large.
 _SLOW = 1e-2
 _GROWTH = math.exp(_SHORTEST / 2.0)
 _FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
