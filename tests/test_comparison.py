@@ -495,7 +495,7 @@ def test_difference_map_marks_every_differing_cell_once() -> None:
     a, b = like_figure_3_4(), like_figure_3_4(0.3, config=CONFIG.replace("0.002", "0.003"), digest="b2")
     comparison = compare(a, b)
     assert 10 < comparison.differing < 0.1 * a.sequence.size
-    figure = difference_map(a, comparison)
+    figure = difference_map(comparison)
     assert coloured(figure, a) == sorted(tuple(cell.at.values()) for cell in comparison.differing_cells)
     assert_readable(figure)
     title = figure.subfigs[0].get_suptitle()
@@ -540,6 +540,6 @@ def test_panels_keep_their_size_where_all_points_agree_or_none_does() -> None:
 def test_figures_need_two_axes() -> None:
     results = make(["NI", "SS(1)"], [replace(X, values=np.array([0.0, 1.0]))])
     with pytest.raises(PlotError, match="needs two axes"):
-        difference_map(results, compare(results, results))
+        difference_map(compare(results, results))
     with pytest.raises(PlotError, match="needs two axes"):
         experiment_map(results, compare_experiment(results, measured({(1.0,): "NI"}, ["load_ratio"])))

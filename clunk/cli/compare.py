@@ -59,7 +59,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
         if other is None:
             figure = experiment_map(first, comparison)
         else:
-            figure = difference_map(first, compare_maps(first, other.of_lash()))
+            figure = difference_map(compare_maps(first, other.of_lash()))
         terminal.save_picture(figure, output)
     if expect_equal and not comparison.same_regimes:
         sys.exit(EXIT_MISMATCH)

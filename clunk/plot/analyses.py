@@ -58,13 +58,12 @@ _FIRST, _SECOND = LINE_COLOURS[:2]
 # --- Labels on maps
 
 
-def difference_map(a: Results, comparison: Comparison) -> Figure:
+def difference_map(comparison: Comparison) -> Figure:
     """The regimes of A, pale, and on them each cell that has another label in B, coloured by the two labels.
-
-    a : the first of the maps that `comparison` compares
 
     Raises PlotError unless two axes were swept.
     """
+    a, _ = comparison.maps
     layers = Layers.of(a, View.of_plane(a))
     codes_a, codes_b, rest = map(layers.view.arrange, (comparison.codes_a, comparison.codes_b, comparison.differs))
     marks = []

@@ -71,7 +71,7 @@ def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
         "figure_3_3": lambda: history_figure(both, "closeup"),
         "figure_3_4": lambda: draw(maps["indentation"], "regimes", thresholds),
         "figure_3_4_restitution": lambda: draw(maps["restitution"], "regimes", thresholds),
-        "figure_3_4_difference": lambda: difference_map(maps["indentation"], between),
+        "figure_3_4_difference": lambda: difference_map(between),
         "figure_3_4_as_printed": lambda: draw(maps["as_printed"], "regimes"),
         "figure_3_5": lambda: small_gap(e.study.title, SmallGap.of(e.study)),
         "figure_3_6": lambda: history_figure([run("indentation", until=1.5)], "acceleration"),

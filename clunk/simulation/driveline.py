@@ -28,7 +28,6 @@ from clunk.study.study import Study
 
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
-_ROUNDING = 1e-14  # of the terms of a sum that cancel
 _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
 
