@@ -25,7 +25,7 @@ from clunk.cli.options import (
     workers_option,
 )
 from clunk.study.errors import ClunkError
-from clunk.study.records import counted, fill, number
+from clunk.study.records import counted, fill, number, with_unit
 
 if TYPE_CHECKING:
     from clunk.analysis.thresholds import Thresholds
@@ -314,10 +314,9 @@ def print_thresholds(result: Thresholds) -> None:
     from clunk.results.quantities import YES_NO
 
     along = result.along
-    unit = "" if along.unit == "1" else f" [{along.unit}]"
     what = f"{'whether ' if result.outcome.type == YES_NO else ''}{result.outcome.heading_with_unit}"
     what += f", of {result.lash}" if result.lash else ""
-    click.echo(fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
+    click.echo(fill(f"thresholds of {with_unit(along.parameter, along.unit)}, scanned from {along.spread}: {what}"))
     rows, offs = result.rows(), iter(result.off.tolist())
     for row in rows:
         value, text = row[along.parameter], "-"

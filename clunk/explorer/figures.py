@@ -33,7 +33,7 @@ from clunk.simulation.history import History
 from clunk.study.arrays import Floats, LabelCodes
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
-from clunk.study.records import capital, html_table
+from clunk.study.records import capital, html_table, with_unit
 from clunk.study.tables import Quantity
 
 RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the run that is shown, and of those that are pinned
@@ -209,7 +209,7 @@ class MapFigure:
 
 def title_of(of: ResultAxis | Quantity) -> str:
     """An axis or a quantity with its short symbol and its unit."""
-    return " ".join(filter(None, (of.name, bare(of.symbol), f"[{of.unit}]" if of.unit != "1" else "")))
+    return with_unit(f"{of.name} {bare(of.symbol)}".rstrip(), of.unit)
 
 
 def _legend(layers: Layers) -> str:

@@ -15,7 +15,7 @@ from clunk.results.maps import Map
 from clunk.study.arrays import Array, Floats, Positions
 from clunk.study.axes import RUN, ResultAxis, parameters_of
 from clunk.study.parameters import numbered
-from clunk.study.records import capital
+from clunk.study.records import capital, with_unit
 
 _X = "load.ratio"  # from left to right wherever it is an axis
 USUAL = (_X, "lash.backlash_deg")  # stay axes of a map where others are fixed
@@ -207,5 +207,4 @@ def number_text(value: float) -> str:
 
 def axis_label(axis: ResultAxis) -> str:
     """An axis's name, symbol and unit."""
-    unit = "" if axis.unit == "1" else f"[{axis.unit}]"
-    return " ".join(filter(None, (plain(capital(axis.name)), symbol_text(axis.symbol), plain(unit))))
+    return with_unit(f"{plain(capital(axis.name))} {symbol_text(axis.symbol)}".rstrip(), plain(axis.unit))

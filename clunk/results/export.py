@@ -19,6 +19,7 @@ from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Array
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError
+from clunk.study.records import with_unit
 
 _ROWS = 4096  # cells, written at once
 
@@ -39,14 +40,14 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
     for axis, places in zip(results.axes, np.unravel_index(np.arange(cells), results.shape), strict=True):
         for each in (axis, *axis.along):
             values = np.array(each.words, object) if each.words else each.values
-            columns.append((_with_unit(each.parameter, each.unit), None, values[places]))
+            columns.append((with_unit(each.parameter, each.unit), None, values[places]))
     for name, quantity in results.quantities.items():
         values, suffixes = results.arrays[name], [""]
         if quantity.dimension:
             values = dataset.padded(name)
             suffixes = [f"[{entry}]" for entry in dataset.variables[quantity.dimension].values.tolist()]
         for suffix, column in zip(suffixes, values.reshape(cells, -1).T, strict=True):
-            columns.append((_with_unit(name + suffix, quantity.unit), quantity, column))
+            columns.append((with_unit(name + suffix, quantity.unit), quantity, column))
     parts = (slice(start, start + _ROWS) for start in range(0, cells, _ROWS))
     rows = (
         row
@@ -116,7 +117,3 @@ def _texts(quantity: Quantity | None, values: Array, labels: tuple[str, ...]) ->
         words = meanings | {code: None for code, word in meanings.items() if word == "none"}
         return [words[value] for value in values.tolist()]
     return [value if value == value else None for value in values.tolist()]  # NaN does not equal itself
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return name if unit == "1" else f"{name} [{unit}]"

@@ -46,7 +46,7 @@ from clunk.results.labels import FAILED, FAILED_CODE, double_sided, normalised_l
 from clunk.study.arrays import Array
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import OF_IMPACTS
-from clunk.study.records import capital
+from clunk.study.records import capital, with_unit
 from clunk.study.study import Study
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class Quantity(NamedTuple):
     @property
     def heading_with_unit(self) -> str:
         """Name, symbol and unit, e.g. ``severity Q [rad/s²]``."""
-        return self.heading + (f" [{self.unit_symbol}]" if self.unit_symbol else "")
+        return with_unit(self.heading, self.unit_symbol)
 
     @property
     def plot_label(self) -> str:

@@ -188,8 +188,7 @@ def columns_of(rows: Sequence[Row]) -> list[list[str]]:
             if isinstance(value, Mapping):
                 cells |= {key: words(inner, each) for key, inner in value.items()}
             else:
-                head = f"{each.heading} [{each.unit}]" if each.unit else each.heading
-                cells[head] = words(value, Told(form=each.form))
+                cells[with_unit(each.heading, each.unit)] = words(value, Told(form=each.form))
         texts.append(cells)
     heads = list(dict.fromkeys(head for cells in texts for head in cells))
     return [heads, *([cells.get(head, "") for head in heads] for cells in texts)]
@@ -278,6 +277,11 @@ def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str
 def counted(count: int, noun: str) -> str:
     """A number of things, for example 1,024 cells."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A name with its unit in brackets, e.g. ``severity [rad/s²]``; alone where there is none, or ``1``."""
+    return f"{name} [{unit}]" if unit not in ("", "1") else name
 
 
 def percent(part: int, whole: int) -> str:
