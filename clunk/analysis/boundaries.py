@@ -177,14 +177,14 @@ def _extent(outline: Path | Ring) -> float:
 
 def _shares(axis: ResultAxis) -> Floats:
     """Ascending places of an axis's values from 0 to 1, in their logarithm where they are geometric."""
-    values = np.sort(axis.values)
+    values = axis.ascending.values
     places = np.log(values) if axis.is_geometric else values
     return (places - places[0]) / np.ptp(places)
 
 
 def _values(axis: ResultAxis, shares: Floats) -> Floats:
     """Values of an axis at places from 0 to 1; those of the ends are the axis's own, to the bit."""
-    low, high = axis.values.min(), axis.values.max()
+    low, high = axis.ends
     inner = low * (high / low) ** shares if axis.is_geometric else low + shares * (high - low)
     return np.where(shares == 1.0, high, inner.clip(low, high))
 

@@ -292,7 +292,7 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     check_axis(study, axis, "thresholds")
     draws = np.arange(1.0, study.swept.sampling.count + 1.0)
     drawn = (ResultAxis(DRAW, draws, "number of the draw", "", "1"),) if study.swept.tolerances else ()
-    return replace(axis, values=np.sort(axis.values)), drawn + tuple(each for each in axes if each is not axis)
+    return axis.ascending, drawn + tuple(each for each in axes if each is not axis)
 
 
 QUANTILE = "quantile"  # the axis in the place of `draw`

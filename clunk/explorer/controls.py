@@ -99,13 +99,14 @@ class Controls:
 
     def _add_axis(self, axis: ResultAxis) -> None:
         values, own = axis.values, math.nan if axis.parameter == RUN else nominal_value(self._study, axis.parameter)
-        first = own if values.min() <= own <= values.max() else values[len(values) // 2]
+        lowest, highest = axis.ends
+        first = own if lowest <= own <= highest else values[len(values) // 2]
         self._add_row(
             axis.parameter,
             title_of(axis),
             lambda _: (0, len(values) - 1, 1),
             first,
-            lambda value: axis.nearest(np.clip(value, values.min(), values.max())),
+            lambda value: axis.nearest(np.clip(value, lowest, highest)),
             lambda at: float(values[int(at)]),
             math.isfinite,
         )

@@ -93,7 +93,7 @@ class MapFigure:
         for which, axis in zip("xy", axes, strict=False):
             look[f"{which}_axis_label"] = capital(title_of(axis))
             look[f"{which}_axis_type"] = "log" if axis.is_geometric else "linear"
-            low, high = axis.values.min(), axis.values.max()
+            low, high = axis.ends
             least = _CLOSEST * (low if axis.is_geometric else high - low)
             look[f"{which}_range"] = Range1d(low, high, bounds=(low, high), min_interval=least)
         if len(axes) == 1:

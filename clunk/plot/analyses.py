@@ -206,7 +206,7 @@ def _draw_bands(
     seen = set()
     low, high = thresholds.along.values[[0, -1]]
     cells = np.arange(thresholds.lowest.size)[every][x.values.argsort(kind="stable")]
-    x = replace(x, values=np.sort(x.values))
+    x = x.ascending
     edges = cell_edges(x).clip(x.values[0], x.values[-1])
     columns = [_bands(thresholds, cell) for cell in cells.tolist()]
     for codes, group in groupby(range(len(columns)), key=lambda k: columns[k][0]):

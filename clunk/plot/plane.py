@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,7 +77,7 @@ class View(NamedTuple):
                 "(--at), or draw a map for each (--facet)."
             )
         order = tuple(axis.values.argsort(kind="stable") for axis in swept)
-        axes = tuple(replace(axis, values=axis.values[at], words=()) for axis, at in zip(swept, order, strict=True))
+        axes = tuple(axis.ascending for axis in swept)
         return cls(axes, fixed_parameters(drawn), tuple(map(drawn.axes.index, swept)), order)
 
     @classmethod
@@ -101,7 +100,7 @@ class View(NamedTuple):
                 "draw a map for each (--facet)."
             )
         cells = np.indices(drawn.shape)
-        axes = tuple(replace(changing[name], values=np.sort(changing[name].values), words=()) for name in names)
+        axes = tuple(changing[name].ascending for name in names)
         places = tuple(
             changing[name].values[cells[dimensions.index(at)]].ravel() for name, at in zip(names, along, strict=True)
         )
@@ -170,7 +169,7 @@ def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAx
     ax, is_single = panels[0], len(panels) == 1
     for which, axis in zip("xy", axes, strict=False):
         scale_axis(ax, which, axis, 10 if is_single else 5)
-        ax.set(**{f"{which}lim": (axis.values.min(), axis.values.max())})
+        ax.set(**{f"{which}lim": axis.ends})
     if not is_single:
         figure.subfigs[0].supxlabel(ax.get_xlabel(), fontsize=10.0)
         figure.subfigs[0].supylabel(ax.get_ylabel(), fontsize=10.0)

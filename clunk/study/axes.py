@@ -58,7 +58,18 @@ class ResultAxis:
         """Least and largest value, unit and count, for people: ``0 to 20 degrees, 21 values``; or the words."""
         if self.words:
             return ", ".join(self.words)
-        return f"{self.values.min():g} to {self.values.max():g}{self.unit_after}, {len(self)} values"
+        lowest, highest = self.ends
+        return f"{lowest:g} to {highest:g}{self.unit_after}, {len(self)} values"
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The least and the largest value."""
+        return self.values.min(), self.values.max()
+
+    @property
+    def ascending(self) -> "ResultAxis":
+        """The axis with its values in ascending order, and without words."""
+        return replace(self, values=np.sort(self.values), words=())
 
     @property
     def unit_after(self) -> str:
@@ -82,7 +93,7 @@ class ResultAxis:
                 there = " or ".join(self.words) or "a number"
                 raise ClunkError(f"{self.parameter} must be {there}, not {value!r}.")
             return self.words.index(value)
-        lowest, highest = self.values.min(), self.values.max()
+        lowest, highest = self.ends
         if not lowest <= value <= highest:  # also where it is not a number
             raise ClunkError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
         apart = np.log(self.values / value) if self.is_geometric else self.values - value
