@@ -16,7 +16,7 @@ from pydantic import Field
 
 from clunk.study.document import Document, read_text
 from clunk.study.errors import ClunkWarning, ConfigError, listing, shorten
-from clunk.study.tables import Findings, Inertia, NotNegative, Positive, Quantity, Sizeable, Table, Text
+from clunk.study.tables import Findings, Inertia, NotEmpty, NotNegative, Positive, Quantity, Sizeable, Table, Text
 
 # The torques before and after the load step are given by both of the first, or by both of the second.
 TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
@@ -84,20 +84,20 @@ class Load(Table):
     amplitude: Annotated[Sizeable | None, Quantity("amplitude of the load", "A", "N m")] = None
     frequency: Annotated[Positive | None, Quantity("frequency of the load", "f", "Hz")] = None
     durations: Annotated[
-        tuple[Annotated[NotNegative, Quantity("duration {} of the load", "d{}", "s")], ...] | None,
-        Field(min_length=1, max_length=_MOST_LEVELS, description="a list of durations (s), one for each level"),
+        NotEmpty[Annotated[NotNegative, Quantity("duration {} of the load", "d{}", "s")]] | None,
+        Field(max_length=_MOST_LEVELS, description="a list of durations (s), one for each level"),
     ] = None
     levels: Annotated[
-        tuple[Annotated[Sizeable, Quantity("level {} of the load", "λ{}", "1")], ...] | None,
-        Field(min_length=1, max_length=_MOST_LEVELS, description="a list of shares of the torque's change"),
+        NotEmpty[Annotated[Sizeable, Quantity("level {} of the load", "λ{}", "1")]] | None,
+        Field(max_length=_MOST_LEVELS, description="a list of shares of the torque's change"),
     ] = None
     times: Annotated[
-        tuple[Annotated[NotNegative, Quantity("time {} of the load", "t{}", "s")], ...] | None,
-        Field(min_length=1, max_length=LONGEST_TABLE, repr=False, description="a list of times (s), from 0 on"),
+        NotEmpty[Annotated[NotNegative, Quantity("time {} of the load", "t{}", "s")]] | None,
+        Field(max_length=LONGEST_TABLE, repr=False, description="a list of times (s), from 0 on"),
     ] = None
     torques: Annotated[
-        tuple[Annotated[Sizeable, Quantity("torque {} of the load", "T[{}]", "N m")], ...] | None,
-        Field(min_length=1, max_length=LONGEST_TABLE, repr=False, description="a list of torques (N m)"),
+        NotEmpty[Annotated[Sizeable, Quantity("torque {} of the load", "T[{}]", "N m")]] | None,
+        Field(max_length=LONGEST_TABLE, repr=False, description="a list of torques (N m)"),
     ] = None
     scale: Annotated[Sizeable, Quantity("scale of the load", "sT", "1")] = 1.0
     file: Annotated[Text | None, Field(description="the path of a trace: lines of time (s), torque (N m)")] = None

@@ -21,6 +21,7 @@ from clunk.study.tables import (
     Ends,
     Findings,
     Inertia,
+    NotEmpty,
     NotNegative,
     NotZero,
     OneOrSeveral,
@@ -48,10 +49,7 @@ WhichLash = str | int | None  # of several, by name or number from 1; None is th
 _NO_SWEEP = Sweep.model_construct()
 NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that say which runs there are, and nothing of one
 
-_Stages = Annotated[
-    tuple[Annotated[NotNegative, Quantity("stiffness of shaft {0} in stage {1}", "k{0},{1}", "N m/rad")], ...],
-    Field(min_length=1),
-]
+_Stages = NotEmpty[Annotated[NotNegative, Quantity("stiffness of shaft {0} in stage {1}", "k{0},{1}", "N m/rad")]]
 
 
 class Shaft(Table):
@@ -83,11 +81,7 @@ class Shaft(Table):
         Field(json_schema_extra={"unit": "N m/degree"}),
     ] = None
     breakpoints_deg: (
-        Annotated[
-            tuple[Annotated[float, Quantity("breakpoint {1} of shaft {0}", "θ{0},{1}", "degrees")], ...],
-            Field(min_length=1),
-        ]
-        | None
+        NotEmpty[Annotated[float, Quantity("breakpoint {1} of shaft {0}", "θ{0},{1}", "degrees")]] | None
     ) = None
     damping: Annotated[NotNegative, Quantity("damping of shaft {}", "c{}", "N m s/rad")]
     friction: Annotated[NotNegative, Quantity("friction of shaft {}", "F{}", "N m")] = 0.0
@@ -127,7 +121,7 @@ class Shaft(Table):
 class DrivelineConfig(Table):
     """Inertias, with or without names, and the shafts that join them."""
 
-    inertias: Annotated[tuple[Annotated[Positive, Quantity("inertia {}", "J{}", "kg m2")], ...], Field(min_length=1)]
+    inertias: NotEmpty[Annotated[Positive, Quantity("inertia {}", "J{}", "kg m2")]]
     names: Annotated[tuple[Text, ...], Field(description="a list of names, one for each inertia")] | None = None
     shafts: tuple[Shaft, ...] = ()
 
@@ -305,7 +299,7 @@ class FreeParameter(Table):
     """
 
     parameter: Annotated[
-        OneOrSeveral[Text, Annotated[tuple[Text, ...], Field(min_length=1)]],
+        OneOrSeveral[Text, NotEmpty[Text]],
         Field(description='a dotted numeric key, or a list of keys that take one value, ["load.levels[1]"]'),
     ]
     low: float
@@ -335,7 +329,7 @@ class Optimize(Table):
     subject_to: tuple[Text, ...] = ()
     robust: Annotated[float | None, Field(gt=0, le=1, description="a number above 0, up to 1")] = None
     seed: Seed = 0
-    parameters: Annotated[tuple[FreeParameter, ...], Field(min_length=1)]
+    parameters: NotEmpty[FreeParameter]
 
 
 class Config(Table):
@@ -343,7 +337,7 @@ class Config(Table):
 
     title: Annotated[Text, Field(min_length=1)] = "Untitled"
     driveline: DrivelineConfig
-    lash: OneOrSeveral[Lash, Annotated[tuple[Lash, ...], Field(min_length=1)]]
+    lash: OneOrSeveral[Lash, NotEmpty[Lash]]
     load: Load
     solver: Solver = Solver()
     impacts: Impacts

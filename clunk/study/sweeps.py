@@ -17,7 +17,7 @@ from pydantic import Field, WithJsonSchema, model_validator
 
 from clunk.study.arrays import Floats
 from clunk.study.errors import listing
-from clunk.study.tables import LONGEST_AXIS, DrawCount, Findings, Positive, Seed, Table
+from clunk.study.tables import LONGEST_AXIS, DrawCount, Findings, NotEmpty, Positive, Seed, Table
 
 LARGEST_GRID = 2**31  # cells
 _SPAN = ("start", "stop", "count", "scale")  # of an axis, instead of its values
@@ -51,7 +51,7 @@ class Axis(Varied):
     stop: float | None = None
     count: Annotated[int, Field(ge=1, le=LONGEST_AXIS)] | None = None
     scale: Literal["linear", "log"] | None = None
-    values: Annotated[tuple[_Value, ...], Field(min_length=1, max_length=LONGEST_AXIS)] | None = None
+    values: Annotated[NotEmpty[_Value], Field(max_length=LONGEST_AXIS)] | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -208,7 +208,7 @@ def _distribution(name: str, n: Mapping[str, float]) -> Any:
     return stats.triang((n["mode"] - n["low"]) / (n["high"] - n["low"]), n["low"], n["high"] - n["low"])
 
 
-Draws = Annotated[tuple[Draw, ...], Field(min_length=1)]
+Draws = NotEmpty[Draw]
 
 
 class Sampling(Table):
@@ -246,7 +246,7 @@ class Sweep(Table):
     """
 
     design: Literal["grid", "zip"] = "grid"
-    axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ()
+    axes: NotEmpty[Axis] = ()
     samples: Draws = ()
     tolerances: Draws = ()
     sampling: Sampling = Sampling()

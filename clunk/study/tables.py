@@ -33,6 +33,7 @@ OTHER_UNITS = {"gap_mm": "backlash_deg", "stiffness_per_deg": "stiffness"}  # ke
 ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
 One = TypeVar("One")
 Several = TypeVar("Several")
+Item = TypeVar("Item")
 
 
 def refusal(text: str, findings: Sequence[Finding] = ()) -> PydanticCustomError:
@@ -172,6 +173,7 @@ OneOrSeveral = Annotated[
     Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE),
 ]
 Sizeable = Annotated[float, AfterValidator(_sizeable)]
+NotEmpty = Annotated[tuple[Item, ...], Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_sizeable)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_sizeable)]
 NotZero = Annotated[
