@@ -19,7 +19,7 @@ from clunk.results.netcdf import content_digest
 from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.results.store import dataset_of
 from clunk.study.arrays import Bools, Positions
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import ResultAxes
 from clunk.study.designs import with_cells
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
@@ -239,7 +239,7 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
     return compare(*(sweep(grid.but(solver=solver), workers=workers, progress=progress) for solver in solvers))
 
 
-def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:
+def _require_same_axes(a: ResultAxes, b: ResultAxes) -> None:
     swept = [
         ", ".join(f"{axis.parameter} ({axis.spread if axis.words else f'{len(axis)} values'})" for axis in axes)
         for axes in (a, b)

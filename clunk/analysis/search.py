@@ -26,7 +26,7 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
 from clunk.study.arrays import Array, Bools, Codes, Floats, Records
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import ResultAxes, ResultAxis
 from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.parameters import located
@@ -58,7 +58,7 @@ _STALLED = 0.5  # of its width, which a bracket is expected to fall below
 # --- Axes along which is searched
 
 
-def grid_axes(study: Study, what: str) -> tuple[ResultAxis, ...]:
+def grid_axes(study: Study, what: str) -> ResultAxes:
     """Axes of a study's grid, between whose values thresholds or boundaries lie. Raises ClunkError where it is none."""
     swept = study.swept
     if not swept.axes or swept.samples or swept.design == "zip":

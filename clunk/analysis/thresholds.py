@@ -41,7 +41,7 @@ from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, normalised_label
 from clunk.results.quantities import LABEL, NOMINAL, NUMBER, Quantity, quantity_of
 from clunk.study.arrays import Codes, Floats
-from clunk.study.axes import ResultAxis, parameters_of
+from clunk.study.axes import ResultAxes, ResultAxis, parameters_of
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError, listing, nearest, shorten
 from clunk.study.models import WhichLash, lash_position
@@ -276,7 +276,7 @@ def thresholds(
     )
 
 
-def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...]]:
+def axes_of(study: Study, along: str) -> tuple[ResultAxis, ResultAxes]:
     """The key's axis, ascending, and the other axes, with tolerances `draw` before them.
 
     Raises ClunkError where there are no thresholds along the key.

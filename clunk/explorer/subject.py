@@ -11,7 +11,7 @@ from clunk.plot.plane import parted_axes
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
-from clunk.study.axes import LASH, RUN, ResultAxis, parameters_of
+from clunk.study.axes import LASH, RUN, ResultAxes, parameters_of
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, nominal
 from clunk.study.errors import ClunkError
@@ -127,6 +127,6 @@ class Subject:
         return study.but(sweep=self.study.sweep if self._has_runs else Sweep(axes=axes))
 
 
-def position(axes: tuple[ResultAxis, ...], cell: Numbers) -> tuple[int, ...]:
+def position(axes: ResultAxes, cell: Numbers) -> tuple[int, ...]:
     """Indices of the cell nearest to values of axes, of others the first."""
     return tuple(axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in axes)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from clunk.plot.style import MINUS, PlotError, bare, plain, symbol_text
 from clunk.results.maps import Map
 from clunk.study.arrays import Array, Floats, Positions
-from clunk.study.axes import RUN, ResultAxis, parameters_of
+from clunk.study.axes import RUN, ResultAxes, ResultAxis, parameters_of
 from clunk.study.parameters import numbered
 from clunk.study.records import capital, with_unit
 
@@ -29,8 +29,8 @@ class View(NamedTuple):
     places : of points the value on each axis of every cell, in C order; of a grid none
     """
 
-    axes: tuple[ResultAxis, ...]
-    fixed: tuple[ResultAxis, ...]
+    axes: ResultAxes
+    fixed: ResultAxes
     keep: tuple[int, ...] = ()
     order: tuple[Positions, ...] = ()
     places: tuple[Floats, ...] = ()
@@ -137,7 +137,7 @@ def drawn_axes(drawn: Map) -> list[ResultAxis]:
     return sorted(several, key=lambda axis: axis.parameter != _X)
 
 
-def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
+def fixed_parameters(drawn: Map) -> ResultAxes:
     """Parameters with one value: axes, and a single run's coordinates."""
     shown = parameters_of(drawn_axes(drawn))
     return tuple(axis for axis in drawn.parameters if len(axis) == 1 and axis.parameter not in shown)

@@ -13,7 +13,7 @@ import numpy as np
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.netcdf import Variable, flags, meanings_of
 from clunk.study.arrays import Array, Counts, Flanks, Floats, LabelCodes
-from clunk.study.axes import ResultAxis, parameters_of
+from clunk.study.axes import ResultAxes, parameters_of
 from clunk.study.records import Rows, as_text, counted
 
 EVENTS = (
@@ -99,7 +99,7 @@ class Boundaries:
     lash : name of the lash whose labels they are; empty where there is one
     """
 
-    axes: tuple[ResultAxis, ...]
+    axes: ResultAxes
     labels: tuple[str, ...]
     vertices: Floats
     curve_counts: Counts
@@ -234,7 +234,7 @@ def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
     return numbers | variables
 
 
-def boundaries_of(variables: Mapping[str, Variable], axes: tuple[ResultAxis, ...]) -> Boundaries | None:
+def boundaries_of(variables: Mapping[str, Variable], axes: ResultAxes) -> Boundaries | None:
     """The boundaries among some variables, None without any."""
     if _FIRST not in variables:
         return None

@@ -23,13 +23,14 @@ from clunk.results.quantities import (
     TEXT,
     TOLERANCE_QUANTITIES,
     YES_NO,
+    Quantities,
     Quantity,
     measured_quantities,
     named_numbers,
     quantity_of,
 )
 from clunk.study.arrays import Array, Counts, Floats, Integers
-from clunk.study.axes import LASH, ResultAxis, parameters_of
+from clunk.study.axes import LASH, ResultAxes, parameters_of
 from clunk.study.designs import Design
 from clunk.study.document import Document, value_at
 from clunk.study.errors import ClunkError
@@ -76,7 +77,7 @@ class Map(Design, ABC):
     config_digest: str
     attributes: dict[str, str]
     arrays: Mapping[str, Array]
-    sample: tuple[ResultAxis, ...] = ()
+    sample: ResultAxes = ()
     boundaries: Boundaries | None = None
 
     def __post_init__(self) -> None:
@@ -125,7 +126,7 @@ class Map(Design, ABC):
 
     @property
     @abstractmethod
-    def quantities(self) -> dict[str, Quantity]:
+    def quantities(self) -> Quantities:
         """The quantities of the map, in the order of their file."""
 
     @property
@@ -290,12 +291,12 @@ class Results(Map):
     """
 
     @cached_property
-    def quantities(self) -> dict[str, Quantity]:
+    def quantities(self) -> Quantities:
         """The quantities of these results, in the order of their file."""
         return quantities_of_config(self.config)
 
     @cached_property
-    def quantities_of_cells(self) -> dict[str, Quantity]:
+    def quantities_of_cells(self) -> Quantities:
         """The label, numbers, and what holds or not."""
         holding = {name: each for name, each in OF_RUNS.items() if name != NOMINAL}
         return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
@@ -382,7 +383,7 @@ class Results(Map):
         return rows if self.boundaries is None else [*rows, *self.boundaries.summary()]
 
 
-def quantities_of_config(config: str) -> dict[str, Quantity]:
+def quantities_of_config(config: str) -> Quantities:
     """Quantities of the results of a resolved config: those that all runs have, and those that it asks for besides."""
     tables = tables_of(config)
     measured = measured_quantities(tables.get("impacts", {}).get("quantities", ()), tables.get("measures", ()))
@@ -414,12 +415,12 @@ class ToleranceMap(Map):
     """
 
     @property
-    def quantities(self) -> dict[str, Quantity]:
+    def quantities(self) -> Quantities:
         """The quantities of a tolerance map, in the order of their file."""
         return TOLERANCE_QUANTITIES
 
     @cached_property
-    def quantities_of_cells(self) -> dict[str, Quantity]:
+    def quantities_of_cells(self) -> Quantities:
         """The most likely label, probabilities of what holds for labels, and the severity's mean and quantiles."""
         of_labels = {
             name: each

@@ -191,9 +191,12 @@ class Quantity(NamedTuple):
         return self._replace(words=f"the label is the nominal {nominal}", bound=nominal)
 
 
-def _read() -> dict[str, dict[str, Quantity]]:
+Quantities = dict[str, Quantity]  # by name
+
+
+def _read() -> dict[str, Quantities]:
     """Read the table: map -> name -> quantity, in the order of the variables in a file and in its digest."""
-    maps: dict[str, dict[str, Quantity]] = {}
+    maps: dict[str, Quantities] = {}
     text = files(__package__).joinpath("quantities.csv").read_text("utf-8")
     row: dict[str, Any]
     for row in csv.DictReader(text.splitlines()):
@@ -209,7 +212,7 @@ TOLERANCE_QUANTITIES = _MAPS["tolerances"]
 OF_RUNS = _MAPS["runs"]
 
 
-def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[str, Any]]) -> dict[str, Quantity]:
+def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[str, Any]]) -> Quantities:
     """Quantities that a config asks for, of cells and then of impacts.
 
     of_impacts : impacts.quantities
@@ -225,12 +228,12 @@ def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[st
     return measured | {f"impact_{name}": table[f"impact_{name}"] for name in of_impacts}
 
 
-def named_numbers(quantities: Mapping[str, Quantity]) -> dict[str, Quantity]:
+def named_numbers(quantities: Quantities) -> Quantities:
     """Those of some quantities that are numbers of cells which people ask for."""
     return {name: each for name, each in quantities.items() if each.words and not each.dimension and not each.coded}
 
 
-def quantities_of(source: Study | AnyMap) -> dict[str, Quantity]:
+def quantities_of(source: Study | AnyMap) -> Quantities:
     """The quantities of a study's runs, or those that a map has in each cell, by the names that options take.
 
     First the label, then numbers, then what holds or not; relations such as ``severity<=8000`` come besides.

@@ -114,6 +114,9 @@ class ResultAxis:
         return np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0
 
 
+ResultAxes = tuple[ResultAxis, ...]
+
+
 def parameters_of(varied: Iterable[ResultAxis | Varied]) -> list[str]:
     """The parameter of each axis, or of each key that is drawn."""
     return [each.parameter for each in varied]

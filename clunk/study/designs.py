@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.study.arrays import Cells, Floats
-from clunk.study.axes import ResultAxis, run_axis
+from clunk.study.axes import ResultAxes, ResultAxis, run_axis
 from clunk.study.document import dotted
 from clunk.study.errors import Problem, report
 from clunk.study.keys import validated, with_tuples
@@ -30,7 +30,7 @@ class Design:
     axes : one for each dimension; of what is walked or drawn together `run`, with the runs' numbers
     """
 
-    axes: tuple[ResultAxis, ...] = ()
+    axes: ResultAxes = ()
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -43,12 +43,12 @@ class Design:
         return math.prod(self.shape)
 
     @property
-    def parameters(self) -> tuple[ResultAxis, ...]:
+    def parameters(self) -> ResultAxes:
         """The parameters that change: the axes, and in the place of `run` its coordinates."""
         return tuple(each for axis in self.axes for each in axis.parameters)
 
     @property
-    def coordinates(self) -> tuple[ResultAxis, ...]:
+    def coordinates(self) -> ResultAxes:
         """The parameters that change together along `run`, each as long as it; none without that."""
         return tuple(each for axis in self.axes for each in axis.along)
 

@@ -15,7 +15,7 @@ from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import QUANTILES, ToleranceMap
 from clunk.study.arrays import Array, Cells, Floats, LabelCodes
-from clunk.study.axes import ResultAxis, parameters_of
+from clunk.study.axes import ResultAxes, ResultAxis, parameters_of
 from clunk.study.designs import along_run
 from clunk.study.parameters import drawn_numbers, nominal_value, quantity, with_draws
 from clunk.study.study import Study
@@ -64,7 +64,7 @@ class SampleGrid(Grid):
         return self._of_runs.shared()
 
     @property
-    def sample(self) -> tuple[ResultAxis, ...]:
+    def sample(self) -> ResultAxes:
         """The drawn numbers of each tolerance; those of a key that has several are named after what is drawn, too."""
         sample, count = [], Counter(parameters_of(self._tolerances))
         suffix = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
