@@ -21,7 +21,7 @@ from clunk.study.designs import design_of_points
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, ConfigError
 from clunk.study.study import Study, takes_study
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import ShowProgress, reporting
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import HAS_TOLERANCES, engine_of, opened
 
@@ -34,7 +34,7 @@ def sweep(
     study: Study,
     output: FilePath | None = None,
     *,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
     workers: int | None = None,
     scheduler: str | None = None,
     boundaries: bool | None = None,
@@ -114,7 +114,7 @@ def tolerance_map(
     study: Study,
     output: FilePath | None = None,
     *,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
     workers: int | None = None,
     scheduler: str | None = None,
     restart: bool = False,
@@ -159,7 +159,7 @@ def run_points(
     study: Study,
     points: Mapping[str, npt.ArrayLike],
     *,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> Results:
@@ -264,7 +264,7 @@ def draw(
 def _run(
     study: Study,
     output: FilePath | None,
-    progress: bool | Progress,
+    progress: ShowProgress,
     engine: Executor,
     *,
     addition: Callable[[AnyMap], AnyMap] | None = None,

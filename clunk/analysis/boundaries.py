@@ -31,7 +31,7 @@ from clunk.study.axes import ResultAxis, parameters_of
 from clunk.study.errors import ClunkError
 from clunk.study.models import WhichLash, lash_position
 from clunk.study.study import Study
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import ShowProgress, reporting
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
@@ -80,7 +80,7 @@ def boundaries(
     *,
     lash: WhichLash = None,
     workers: int | None = None,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
 ) -> Boundaries:
     """Trace the boundaries of a study's regime map.
 

@@ -25,7 +25,7 @@ from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.records import SENTENCE, Record, counted, percent, tells, told
 from clunk.study.study import Study, takes_study
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import ShowProgress
 from clunk.sweeping.sweep import sweep
 
 METHODS = ("rk4", "exact")
@@ -207,7 +207,7 @@ def _verdict(cells: int, differing: int, elsewhere: int) -> str:
 
 
 @takes_study
-def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Comparison:
+def verify(study: Study, *, progress: ShowProgress = False, workers: int | None = None) -> Comparison:
     """Run a study by both methods, rk4 (A) and exact (B), whichever its own is, and compare.
 
     Parameters

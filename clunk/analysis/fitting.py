@@ -33,7 +33,7 @@ from clunk.study.models import WhichLash, lash_position
 from clunk.study.parameters import located, nominal_value, spellings, with_draws
 from clunk.study.rules import complaint
 from clunk.study.study import Study, takes_study
-from clunk.sweeping.progress import Progress, reporting, unseen
+from clunk.sweeping.progress import Progress, ShowProgress, reporting, unseen
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
@@ -245,7 +245,7 @@ def fit(
     study: Study,
     measurements: FilePath | Experiment,
     *,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
     workers: int | None = None,
     lash: WhichLash = None,
 ) -> Fitted:

@@ -27,7 +27,7 @@ from clunk.study.models import Optimize, WhichLash, lash_position
 from clunk.study.parameters import drawn_numbers, nominal_value, with_draws
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values, takes_study
-from clunk.sweeping.progress import Progress, reporting, unseen
+from clunk.sweeping.progress import Progress, ShowProgress, reporting, unseen
 from clunk.sweeping.runner import Runner
 
 RELEASE_TIME = "release_time"  # s, from which on the load rests
@@ -319,7 +319,7 @@ def optimize(
     *,
     lash: WhichLash = None,
     workers: int | None = None,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
 ) -> Optimum:
     """Find the values of a study's free keys that minimise a key or a quantity while its conditions hold.
 
@@ -364,7 +364,7 @@ def front(
     *,
     lash: WhichLash = None,
     workers: int | None = None,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
 ) -> Front:
     """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
 

@@ -23,7 +23,7 @@ from clunk.study.models import WhichLash, lash_position
 from clunk.study.parameters import nominal_value
 from clunk.study.records import Record, tells, told, words
 from clunk.study.study import Study, takes_study
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import ShowProgress, reporting
 from clunk.sweeping.runner import Runner
 
 CONFIDENCE = 0.95  # of the intervals
@@ -122,7 +122,7 @@ def sensitivity(
     of: str | Sequence[str] = (),
     lash: WhichLash = None,
     workers: int | None = None,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
 ) -> Sensitivity:
     """The first-order and total Sobol indices of an operating point's outcome.
 

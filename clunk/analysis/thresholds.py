@@ -48,7 +48,7 @@ from clunk.study.models import WhichLash, lash_position
 from clunk.study.parameters import drawn_numbers, numbered, spellings, with_draws
 from clunk.study.records import as_text
 from clunk.study.study import Study, takes_study
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import ShowProgress, reporting
 from clunk.sweeping.sweep import engine_of
 
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
@@ -186,7 +186,7 @@ def thresholds(
     of: str = LABEL,
     lash: WhichLash = None,
     workers: int | None = None,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
 ) -> Thresholds:
     """All values of a swept key at which an outcome changes, in each cell of the other axes.
 

@@ -10,7 +10,7 @@ from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import Study, replace_values
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import ShowProgress
 from clunk.sweeping.sweep import sweep
 
 RATIOS = (1.0, 2.0, 5.0)  # of Figure 3.2
@@ -51,7 +51,7 @@ MAPS = {  # by name: title, values an axis, overrides
 Maps = dict[str, Results]  # of Figures 3.4 and 3.7 and their variants, by the names of `MAPS`
 
 
-def run_maps(coarsen: int = 1, workers: int | None = None, progress: bool | Progress = False) -> Maps:
+def run_maps(coarsen: int = 1, workers: int | None = None, progress: ShowProgress = False) -> Maps:
     """Run the sweeps of `MAPS`, on 1/`coarsen` of their values an axis; progress : as of `clunk.sweep`, of each."""
     maps = {}
     for name, (title, count, overrides) in MAPS.items():

@@ -9,6 +9,7 @@ from clunk.study.study import Study
 from clunk.sweeping.cells import compiling_note, warm_up
 
 Progress = Callable[[int, int], None]
+ShowProgress = bool | Progress  # whether a bar is shown, or what is called in its place
 
 _LINE_EVERY = 5.0  # s
 _REWRITTEN_EVERY = 0.1  # s
@@ -55,7 +56,7 @@ def shown(unit: str = "cells") -> Iterator[Progress]:
             stream.flush()
 
 
-def note(text: str, progress: bool | Progress) -> None:
+def note(text: str, progress: ShowProgress) -> None:
     """Print a text, if there is one, where progress is shown."""
     if text and progress is True:
         print(text, file=sys.stderr)
@@ -66,7 +67,7 @@ def unseen(_done: int, _total: int) -> None:
 
 
 @contextmanager
-def reporting(progress: bool | Progress, study: Study, what: str = "cells") -> Iterator[Progress]:
+def reporting(progress: ShowProgress, study: Study, what: str = "cells") -> Iterator[Progress]:
     """Function to report progress to; a bar is shown when the kernels that the study needs are compiled."""
     if progress is False:
         yield unseen

@@ -22,7 +22,7 @@ from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import EngineError, Threads, deferred_signals
 from clunk.sweeping.machine import available_cores, available_memory, provenance
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
-from clunk.sweeping.progress import Progress, note, reporting
+from clunk.sweeping.progress import ShowProgress, note, reporting
 from clunk.sweeping.reduction import Reduction, regime_map
 from clunk.sweeping.tolerances import SampleGrid, tolerance_map
 
@@ -127,7 +127,7 @@ class Job:
         self,
         engine: Executor | None = None,
         *,
-        progress: bool | Progress = False,
+        progress: ShowProgress = False,
     ) -> AnyMap:
         """Run the cells that are not finished.
 
@@ -237,7 +237,7 @@ def sweep(
     design: Design | None = None,
     *,
     workers: int | None = None,
-    progress: bool | Progress = False,
+    progress: ShowProgress = False,
 ) -> Results:
     """Run the cells of a study in memory.
 
