@@ -26,7 +26,7 @@ from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
 from clunk.results.maps import Results
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Positions, Records
-from clunk.study.axes import variable_of
+from clunk.study.axes import parameters_of, variable_of
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, nearest, shorten
 from clunk.study.models import WhichLash, lash_position
@@ -112,9 +112,9 @@ class Candidates:
 
     def _run_some(self, numbers: Floats) -> Records:
         """Run as many candidates as there is memory for."""
-        keys = [*dict.fromkeys([*self.axes, *(prior.parameter for prior in self.priors)])]
+        keys = {*self.axes, *parameters_of(self.priors)}
         # new: there are too many drivelines to keep
-        runner = Runner(measuring(self.study, ()), keys, engine=self._engine)
+        runner = Runner(measuring(self.study, ()), sorted(keys), engine=self._engine)
         matches = np.zeros((len(numbers), len(self.points)), MATCH)
         flat, (candidate, point) = matches.ravel(), np.indices(matches.shape).reshape(2, -1)
         flat["label"], results = self._run(runner, numbers[candidate], self.points[point])

@@ -5,7 +5,7 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 from clunk.results.labels import FAILED, double_sided, flanks_of_label, normalised_label
 from clunk.results.maps import Results
 from clunk.results.quantities import REGIME_QUANTITIES
-from clunk.study.axes import ResultAxis, variable_of
+from clunk.study.axes import ResultAxis, parameters_of, variable_of
 from clunk.study.document import FilePath, read_text
 from clunk.study.errors import ClunkError, shorten
 from clunk.study.parameters import quantity, spellings
@@ -272,19 +272,18 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
     ClunkError
         Where the measurements' columns are not the results' axes; an axis of one value needs no column.
     """
-    spelt = {variable_of(name): variable_of(key) for name, key in spellings(results.tables).items()}
-    experiment = replace(experiment, columns=tuple(spelt.get(column, column) for column in experiment.columns))
-    variables = [axis.variable for axis in results.axes]
-    for column in experiment.columns:
-        if column not in variables:
+    parameter_of = {variable_of(name): key for name, key in spellings(results.tables).items()}
+    parameters = tuple(parameter_of.get(column, column) for column in experiment.columns)
+    for parameter in parameters:
+        if parameter not in parameters_of(results.axes):
             raise ClunkError(
-                f"The column {shorten(column)} of {experiment.name} is no axis of the results, which sweep "
-                f"{', '.join(variables)}."
+                f"The column {shorten(variable_of(parameter))} of {experiment.name} is no axis of the results, which "
+                f"sweep {', '.join(axis.variable for axis in results.axes)}."
             )
     for axis in results.axes:
-        if axis.variable not in experiment.columns and len(axis) > 1:
+        if axis.parameter not in parameters and len(axis) > 1:
             raise ClunkError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
-    points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
+    points = tuple(_point(results, parameters, measurement) for measurement in experiment.measurements)
     trends = tuple(_trend(axis, points) for axis in results.axes if len(axis) > 1)
     inside = [point for point in points if point.counts]
     agreeing, failed = sum(point.agrees is True for point in inside), sum(point.computed == FAILED for point in points)
@@ -302,11 +301,11 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
     )
 
 
-def _point(results: Results, columns: tuple[str, ...], measurement: Measurement) -> Point:
-    measured = dict(zip(columns, measurement.values, strict=True))
-    values = {axis.parameter: measured.get(axis.variable, math.nan) for axis in results.axes}
+def _point(results: Results, parameters: tuple[str, ...], measurement: Measurement) -> Point:
+    measured = dict(zip(parameters, measurement.values, strict=True))
+    values = {axis.parameter: measured.get(axis.parameter, math.nan) for axis in results.axes}
     try:
-        cell = tuple(axis.nearest(measured.get(axis.variable, axis.values[0])) for axis in results.axes)
+        cell = results.nearest(measured)
     except ClunkError:  # beyond an axis
         return Point(values, measurement.label, None, None)
     computed = results.coded_labels[results.sequence[cell]]

@@ -241,11 +241,10 @@ def thresholds(
     design = Design(axes)
     tolerances = study.swept.tolerances
     drawn = drawn_numbers(study, tolerances)
-    keys = [axis.parameter for axis in (*axes, along_axis) if axis.parameter != DRAW]
-    keys = [*dict.fromkeys([*keys, *parameters_of(tolerances)])]
+    keys = {*parameters_of((*axes, along_axis)), *parameters_of(tolerances)} - {DRAW}
     scanned = np.arange(design.cells).repeat(len(along_axis))
     with engine_of(None, workers) as engine, reporting(progress, study, what="runs") as report:
-        point_runs = PointRuns(study, keys, outcome, position, engine, progress=report)
+        point_runs = PointRuns(study, sorted(keys), outcome, position, engine, progress=report)
 
         def run(cells: Codes, values: Floats) -> Points:
             columns = design.columns(cells)

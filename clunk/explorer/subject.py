@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from clunk.plot.plane import parted_axes
 from clunk.results.maps import AnyMap, ToleranceMap
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
-from clunk.study.axes import LASH, RUN, ResultAxes, parameters_of
+from clunk.study.axes import LASH, RUN, parameters_of
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, nominal
 from clunk.study.errors import ClunkError
@@ -54,16 +54,17 @@ class Subject:
         self.slices = tuple(axis for axis in changing if axis not in self.plane)
         self.swept = tuple(axis for axis in results.parameters if axis.parameter != LASH and len(axis) > 1)
 
-    def values(self, cell: Numbers) -> Numbers:
-        """Values of the swept keys in a cell, from values of the axes, `run` included."""
-        return {parameter: float(value) for parameter, value in self._first.place(position(self._axes, cell)).items()}
+    def values(self, cell: Numbers, but: Collection[str] = ()) -> Numbers:
+        """Values of the swept keys in a cell, but for some, from values of the axes, `run` included."""
+        place = self._first.place(self._first.nearest(cell))
+        return {parameter: float(value) for parameter, value in place.items() if parameter not in but}
 
     def likelihood(self, cell: Numbers, lash: str) -> str:
         """The probability of each label in a cell of a tolerance map; empty for a regime map."""
         if not isinstance(self.results, ToleranceMap):
             return ""
         part = self.results.of_lash(lash)
-        shares = zip(part.coded_labels, part.probability[position(part.axes, cell)].tolist(), strict=True)
+        shares = zip(part.coded_labels, part.probability[part.nearest(cell)].tolist(), strict=True)
         likely = sorted(((share, label) for label, share in shares if share), reverse=True)
         return f"of {part.draws:,} draws: " + ", ".join(f"{label} {100.0 * share:.3g} %" for share, label in likely)
 
@@ -82,8 +83,7 @@ class Subject:
         swept, whole = self._study_of_map(cell, numbers).swept, self._toleranced.swept
         if whole.tolerances and not numbers:
             swept = swept.but(tolerances=whole.tolerances, sampling=whole.sampling)
-        drawn = parameters_of(swept.samples)
-        kept = {key: value for key, value in self.values(cell).items() if key not in drawn}
+        kept = self.values(cell, but=parameters_of(swept.samples))
         return to_toml(replace_values(self.study, kept | numbers).but(sweep=swept))
 
     def maps(self, slices: Numbers, numbers: Numbers, lash: str, progress: Progress) -> Iterator[AnyMap]:
@@ -119,14 +119,9 @@ class Subject:
     def _study_of_map(self, cell: Numbers, numbers: Numbers) -> Study:
         """The study whose sweep is the map that is shown, at a cell's values of the other axes."""
         shown = parameters_of(self.plane)
-        fixed = {key: value for key, value in self.values(cell).items() if key not in shown}
+        fixed = self.values(cell, but=shown)
         if self._has_runs:
             fixed = {axis.parameter: fixed[axis.parameter] for axis in self._axes if axis.parameter in fixed}
         study = replace_values(self.study, fixed | numbers)
         axes = tuple(axis for axis in self.study.swept.axes if axis.parameter in shown)
         return study.but(sweep=self.study.sweep if self._has_runs else Sweep(axes=axes))
-
-
-def position(axes: ResultAxes, cell: Numbers) -> tuple[int, ...]:
-    """Indices of the cell nearest to values of axes, of others the first."""
-    return tuple(axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in axes)

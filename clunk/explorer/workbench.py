@@ -17,7 +17,7 @@ from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Model, Pane, S
 from clunk.explorer.controls import Controls
 from clunk.explorer.figures import RUN_COLOURS, WIDE, Cell, Changes, MapFigure, RunFigures, Shown
 from clunk.explorer.newest import GoOn, Newest
-from clunk.explorer.subject import Numbers, Subject, position
+from clunk.explorer.subject import Numbers, Subject
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
 from clunk.plot.style import FAINT_INK
@@ -192,7 +192,7 @@ class Workbench:
         if self._results is None:
             return ""
         part = self._results.of_lash(self._lash.value)
-        return part.coded_labels[part.sequence[position(part.axes, self._values(cell))]]
+        return part.coded_labels[part.sequence[part.nearest(self._values(cell))]]
 
     def _hover(self, cell: Cell | None) -> None:
         if cell != self._hovered:

@@ -52,6 +52,13 @@ class Design:
         """The parameters that change together along `run`, each as long as it; none without that."""
         return tuple(each for axis in self.axes for each in axis.along)
 
+    def nearest(self, values: Mapping[str, float]) -> tuple[int, ...]:
+        """Positions on the axes of the cell nearest to values of these, by parameter; on others the first.
+
+        Raises ClunkError where a value lies beyond its axis.
+        """
+        return tuple(axis.nearest(values.get(axis.parameter, axis.values[0])) for axis in self.axes)
+
     def columns(self, cells: Cells) -> dict[str, Floats]:
         """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
         positions = np.unravel_index(cells, self.shape) if self.axes else ()

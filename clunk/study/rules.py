@@ -65,12 +65,16 @@ def complaint(parameter: str, config: Config) -> str | None:
         return str(error)
     table, _, key = parameter.partition("[")[0].partition(".")
     if table == "load" and not uses(config.load.profile, key):
-        profiles = listing([shorten(profile) for profile in PROFILES if uses(profile, key)], "or")
-        return f"{parameter} does not apply: the profile is {shorten(config.load.profile)}, and not {profiles}"
+        return f"{parameter} does not apply: the profile is {shorten(config.load.profile)}, and not {_users(key)}"
     for pair, other in (TORQUES, TORQUES[::-1]):
         if table == "load" and key in pair and getattr(config.load, other[0]) is not None:
             return f"{parameter} does not apply: the load is given by {listing(other)}, and not by {listing(pair)}"
     return None
+
+
+def _users(key: str) -> str:
+    """The load profiles that use a key, with an "or"; empty where none does."""
+    return listing([shorten(profile) for profile in PROFILES if uses(profile, key)], "or")
 
 
 # --- Lashes, limits, sizes --------------------------------------------------------------------------------------------
@@ -372,11 +376,10 @@ def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
             )
     load = config.load
     for key in sorted(given):
-        users = [shorten(name) for name in PROFILES if uses(name, key)]
+        users = _users(key)
         is_default = getattr(load, key) == Load.model_fields[key].default  # as of a resolved config
         if users and not uses(load.profile, key) and not is_default:
-            others = listing(users, "or")
-            yield f"load.{key} is given, but a load of profile {shorten(load.profile)} has none; {others} would use it"
+            yield f"load.{key} is given, but a load of profile {shorten(load.profile)} has none; {users} would use it"
     times = {"load.duration", "load.time_constant", "load.times", "solver.end_time"}
     time, end = _time_of_change(load), config.solver.end_time
     longest = end if load.profile == "table" else LONGEST_CHANGE * end

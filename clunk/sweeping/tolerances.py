@@ -49,8 +49,7 @@ class SampleGrid(Grid):
     def __init__(self, study: Study) -> None:
         super().__init__(study)
         self._tolerances = study.swept.tolerances
-        keys = dict.fromkeys(parameters_of(self.design.parameters))
-        keys |= dict.fromkeys(parameters_of(self._tolerances))
+        keys = sorted({*parameters_of(self.design.parameters), *parameters_of(self._tolerances)})
         alone = study.but(sweep=None, solver=study.solver.but(margin_tolerance=0.0))
         self._of_runs = Grid(alone, along_run((key, np.zeros(1)) for key in keys))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
