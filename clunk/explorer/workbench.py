@@ -97,6 +97,7 @@ class Workbench:
         self._quantity = Select(value=first, options=described, name="quantity", visible=bool(subject.plane), width=260)
         lashes = list(zip(names, names, strict=True))
         self._lash = Select(value=names[0], options=lashes, name="of lash", visible=bool(results.lashes), width=260)
+        self._selects = self._quantity, self._lash
         models: dict[str, Model] = self._map.models if self._map else {}
         one_line = {"color": FAINT_INK, "flex": "none", "overflow": "hidden", "white-space": "nowrap"}
         self._status = Div(text="…", name="status", render_as_text=True, height=20, styles=one_line, **WIDE)
@@ -127,7 +128,7 @@ class Workbench:
         room = {"height": "190px", "flex": "none"} if self._map else {"flex": "1 1 0"}
         left = [
             title,
-            _box("row", self._quantity, self._lash, save, flex="none"),
+            _box("row", *self._selects, save, flex="none"),
             *drawn,
             _box("column", self._controls.layout, overflow_y="auto", **room),
             self._status,
@@ -140,7 +141,7 @@ class Workbench:
             self._document.add_root(root)
 
     def _listen(self, link: Mapping[str, str]) -> None:
-        for select in (self._quantity, self._lash):
+        for select in self._selects:
             select.on_change("value", lambda _attribute, _old, _new: self._on_quantity())
         self._keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
         self._link.js_on_change("data", CustomJS(code=_KEEP_LINK))
@@ -157,7 +158,7 @@ class Workbench:
 
     def _restore(self, link: Mapping[str, str]) -> None:
         """Begin with what a link says; what it says of other results is left out."""
-        for select in (self._quantity, self._lash):
+        for select in self._selects:
             if link.get(select.name) in dict(select.options):
                 select.value = link[select.name]
         numbers = {}
@@ -169,7 +170,7 @@ class Workbench:
 
     def _keep_link(self) -> None:
         """Let the address of the page hold what it shows."""
-        chosen = {select.name: select.value for select in (self._quantity, self._lash) if select.visible}
+        chosen = {select.name: select.value for select in self._selects if select.visible}
         numbers = self._controls.cell | self._controls.numbers
         state = chosen | {key: repr(float(value)).removesuffix(".0") for key, value in numbers.items()}
         self._link.data = {"name": list(state), "value": list(state.values())}
