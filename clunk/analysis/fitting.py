@@ -25,7 +25,7 @@ from clunk.analysis.measurements import IMPACT_QUANTITIES, Experiment, read_expe
 from clunk.results.labels import FAILED, FAILED_CODE, flanks_of_label
 from clunk.results.maps import Results
 from clunk.results.quantities import measuring
-from clunk.study.arrays import Codes, Floats, Positions, Records
+from clunk.study.arrays import Codes, Floats, Positions, Records, record_of
 from clunk.study.axes import parameters_of, variable_of
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError, nearest, shorten
@@ -40,15 +40,13 @@ from clunk.sweeping.sweep import engine_of
 # A candidate's run at a measured operating point: the code of its label (-1: failed), the distance to the measured
 # label, the number of the measured value and the signed change of its logarithm that bring this about (0: none does),
 # the misfit of the impacts' measured quantities, and of each of these how many values are further off than `FAR`.
-MATCH = np.dtype(
-    [
-        ("label", "i8"),
-        ("distance", "f8"),
-        ("axis", "i8"),
-        ("change", "f8"),
-        ("misfit", "f8"),
-        ("far", "i8", len(IMPACT_QUANTITIES)),
-    ]
+MATCH = record_of(
+    label="i8",
+    distance="f8",
+    axis="i8",
+    change="f8",
+    misfit="f8",
+    far=("i8", len(IMPACT_QUANTITIES)),
 )
 
 _CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, either way

@@ -25,7 +25,7 @@ from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Results
 from clunk.results.quantities import CHATTER, TEXT, YES_NO, Quantity, measuring
-from clunk.study.arrays import Array, Bools, Codes, Floats, Records
+from clunk.study.arrays import Array, Bools, Codes, Floats, Records, record_of
 from clunk.study.axes import ResultAxes, ResultAxis
 from clunk.study.designs import design_of
 from clunk.study.errors import ClunkError, ConfigError
@@ -37,7 +37,7 @@ from clunk.sweeping.runner import Runner
 
 # A run of a cell at a value: the code of its outcome, a number that changes sign where that does, NaN where none is
 # known, and its number of touches.
-POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
+POINT = record_of(cell="i8", value="f8", outcome="i8", measure="f8", touches="i8")
 Points = Records  # POINT
 Run = Callable[[Codes, Floats], Points]  # runs cells at values, (n,) each; these need not be in its points
 

@@ -1,5 +1,7 @@
 """Types of arrays, by what they hold."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,3 +11,8 @@ IntArray = npt.NDArray[np.int64]
 Positions = npt.NDArray[np.intp]  # in another array
 Records = npt.NDArray[np.void]
 StopFlag = npt.NDArray[np.uint8]  # (1,)  set to non-zero from another thread to abandon runs
+
+
+def record_of(**fields: Any) -> np.dtype[np.void]:
+    """The type of a record with these fields, aligned as compiled functions read it."""
+    return np.dtype([*fields.items()], align=True)

@@ -7,7 +7,7 @@ than one element, a phase shorter than INSTANT adds nothing: what happens at one
 the other, and no state in between counts, in whichever order rounding puts them.
 """
 
-import numpy as np
+from clunk.core.arrays import record_of
 
 LOAD_STEP = 0
 TOUCH = 1  # the gap closes
@@ -21,15 +21,12 @@ KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening", "lock", "
 
 INSTANT = 1e-12  # s: events closer than this are at the same time
 
-EVENT = np.dtype(
-    [
-        ("time", "f8"),  # s after the load step
-        ("speed", "f8"),  # rad/s, q' = θ'i - ratio θ'j just before
-        ("kind", "i8"),
-        ("regime", "i8"),  # the one that follows, see clunk.core.regimes
-        ("side", "i8"),  # the flank concerned: sign of q on it; at the load step the first lash's, 0 if it is open
-        ("lash", "i8"),  # the lash concerned, or -1
-        ("primary", "i8"),  # whether it is a primary impact, see clunk.core.sequence
-    ],
-    align=True,
+EVENT = record_of(
+    time="f8",  # s after the load step
+    speed="f8",  # rad/s, q' = θ'i - ratio θ'j just before
+    kind="i8",
+    regime="i8",  # the one that follows, see clunk.core.regimes
+    side="i8",  # the flank concerned: sign of q on it; at the load step the first lash's, 0 if it is open
+    lash="i8",  # the lash concerned, or -1
+    primary="i8",  # whether it is a primary impact, see clunk.core.sequence
 )

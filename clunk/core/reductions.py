@@ -91,8 +91,8 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
     return Reduction(expand, pick, shift)
 
 
-def product(one: FloatArray, other: FloatArray) -> FloatArray:
-    """A product that is zero to the last bit where only rounding is left."""
+def product(one: FloatArray, other: FloatArray, rounding: float = _ROUNDING) -> FloatArray:
+    """A product that is zero to the last bit where only rounding is left, a share of its terms."""
     result = one @ other
-    result[abs(result) <= _ROUNDING * (abs(one) @ abs(other))] = 0.0
+    result[abs(result) <= rounding * (abs(one) @ abs(other))] = 0.0
     return result

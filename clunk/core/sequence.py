@@ -10,25 +10,21 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Any
 
-import numpy as np
-
+from clunk.core.arrays import record_of
 from clunk.core.events import LOCK, SEPARATION, TOUCH
 from clunk.core.jit import inlined_part
 
 INITIAL = -1
 OPPOSITE = 1
 
-COURSE = np.dtype(  # what the flanks of one lash have done so far in a run
-    [
-        ("last_side", "i8"),  # the flank of the last touch, at first the preloaded one (0: none)
-        ("from_sticking", "i8"),  # whether they have separated from sticking since
-        ("contact_began", "f8"),  # s, of the last contact; -inf of the preloaded one
-        ("static", "f8"),  # by exact: the overlap of its flanks at rest, rad, or the torque between rigid ones
-        ("fastest", "f8"),  # rad/s, of the touches of rigid flanks
-        ("least", "f8"),  # the margin of the run, see clunk.core.exact.margins; NaN by rk4
-        ("margin", "f8"),  # of the last touch of rigid flanks, which counts if the next one is of the same flank
-    ],
-    align=True,
+COURSE = record_of(  # what the flanks of one lash have done so far in a run
+    last_side="i8",  # the flank of the last touch, at first the preloaded one (0: none)
+    from_sticking="i8",  # whether they have separated from sticking since
+    contact_began="f8",  # s, of the last contact; -inf of the preloaded one
+    static="f8",  # by exact: the overlap of its flanks at rest, rad, or the torque between rigid ones
+    fastest="f8",  # rad/s, of the touches of rigid flanks
+    least="f8",  # the margin of the run, see clunk.core.exact.margins; NaN by rk4
+    margin="f8",  # of the last touch of rigid flanks, which counts if the next one is of the same flank
 )
 
 

@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clunk.core.arrays import FloatArray, IntArray
+from clunk.core.arrays import FloatArray, IntArray, record_of
 from clunk.core.batches import alike
 from clunk.core.events import OPENING, REJOIN, SEPARATION, STAGE, TOUCH
 
@@ -56,38 +56,29 @@ STICKS, SLIPS_FORWARD, SLIPS_BACKWARD = range(3)  # states of a friction
 ABOVE = 1e-9  # of F: more than rounding, less than any measurement
 BEYOND = 1e-12  # rad, behind its breakpoint, that a stage ends: the same of a twist
 
-REGIME = np.dtype(
-    [
-        ("flow", "i8"),
-        ("guards", "i8"),  # how many end it
-        ("watched", "i8"),  # how many rows it has: those that end it, then those that make a margin only
-        ("group", "i8"),  # runs in regimes with one flow and, but for the sides, the same guards step together
-    ],
-    align=True,
+REGIME = record_of(
+    flow="i8",
+    guards="i8",  # how many end it
+    watched="i8",  # how many rows it has: those that end it, then those that make a margin only
+    group="i8",  # runs in regimes with one flow and, but for the sides, the same guards step together
 )
 
-CONTACT = np.dtype(
-    [
-        ("closed", "i8"),  # whether the flanks press on each other
-        ("side", "i8"),  # s; 0 between the flanks
-    ],
-    align=True,
+CONTACT = record_of(
+    closed="i8",  # whether the flanks press on each other
+    side="i8",  # s; 0 between the flanks
 )
 
-GUARD = np.dtype(
-    [
-        ("functional", "i8"),  # guard = sign · functional + offsets · d
-        ("sign", "f8"),
-        ("successor", "i8"),  # the regime that follows where it turns negative, or -1
-        ("event_kind", "i8"),  # the event that this is, or -1
-        ("lash", "i8"),  # the lash that the event concerns, or -1
-        ("side", "i8"),  # and its flank
-        ("zero_guard", "i8"),  # the successor's guard that is zero on entry, or -1
-        ("zero_order", "i8"),  # and how many of its derivatives, itself included, are
-        ("makes_margin", "i8"),  # whether its turning back or its depth does
-        ("first_alike", "i8"),  # the regime's first guard of the same functional
-    ],
-    align=True,
+GUARD = record_of(
+    functional="i8",  # guard = sign · functional + offsets · d
+    sign="f8",
+    successor="i8",  # the regime that follows where it turns negative, or -1
+    event_kind="i8",  # the event that this is, or -1
+    lash="i8",  # the lash that the event concerns, or -1
+    side="i8",  # and its flank
+    zero_guard="i8",  # the successor's guard that is zero on entry, or -1
+    zero_order="i8",  # and how many of its derivatives, itself included, are
+    makes_margin="i8",  # whether its turning back or its depth does
+    first_alike="i8",  # the regime's first guard of the same functional
 )
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.core import switching
-from clunk.core.arrays import FloatArray, IntArray, Positions, Records, StopFlag
+from clunk.core.arrays import FloatArray, IntArray, Positions, Records, StopFlag, record_of
 from clunk.core.channels import Channels
 from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
@@ -27,31 +27,25 @@ EVENTS = 2048  # of a run, that there is room for at first; a run that finds too
 MORE = 64  # with so many times as much
 _EVENT_MEMORY = 2_000_000  # events that there is room for at a time: 112 MB, and 32 MB for each lash, if all happen
 
-CELL = np.dtype(
-    [
-        # the primaries' flanks as bits behind a leading 1 (opposite: 1); 0 for more than 62, or where the run failed
-        ("pattern", "u8"),
-        ("severity", "f8"),  # Q, rad/s2
-        ("approach_velocity", "f8"),  # V, rad/s
-        ("last_event_time", "f8"),  # s after the load step, NaN without events
-        ("margin", "f8"),  # see clunk.core.exact.margins; NaN where the method knows none
-        ("primary_impacts", "i4"),
-        ("touches", "i4"),
-        ("status", "u1"),
-        ("quality", "u1"),
-        ("initial_side", "i1"),
-    ],
-    align=True,
+CELL = record_of(
+    # the primaries' flanks as bits behind a leading 1 (opposite: 1); 0 for more than 62, or where the run failed
+    pattern="u8",
+    severity="f8",  # Q, rad/s2
+    approach_velocity="f8",  # V, rad/s
+    last_event_time="f8",  # s after the load step, NaN without events
+    margin="f8",  # see clunk.core.exact.margins; NaN where the method knows none
+    primary_impacts="i4",
+    touches="i4",
+    status="u1",
+    quality="u1",
+    initial_side="i1",
 )
 
-IMPACT = np.dtype(
-    [
-        ("time", "f8"),  # s after the load step
-        ("closing_speed", "f8"),  # |q'| just before touch, rad/s
-        ("severity", "f8"),  # Q_i, rad/s2
-        ("flank", "i1"),  # +1 opposite, -1 initial
-    ],
-    align=True,
+IMPACT = record_of(
+    time="f8",  # s after the load step
+    closing_speed="f8",  # |q'| just before touch, rad/s
+    severity="f8",  # Q_i, rad/s2
+    flank="i1",  # +1 opposite, -1 initial
 )
 
 

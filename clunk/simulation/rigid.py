@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clunk.core.batches import alike
+from clunk.core.reductions import product
 from clunk.core.regimes import RigidMotion
 from clunk.core.tables import Friction
 from clunk.study.arrays import Floats
@@ -97,6 +98,4 @@ def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str
 
 def _twists(joints: Floats, speeds: Floats) -> Floats:
     """Rates of twist of joints at these speeds, without rounding."""
-    twists = (joints @ speeds[..., None])[..., 0]
-    twists[abs(twists) <= _FITS * (abs(joints) @ abs(speeds)[..., None])[..., 0]] = 0.0
-    return twists
+    return product(joints, speeds[..., None], _FITS)[..., 0]

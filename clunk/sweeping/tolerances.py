@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clunk.core.arrays import StopFlag
+from clunk.core.arrays import StopFlag, record_of
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
@@ -22,15 +22,12 @@ from clunk.study.study import Study
 from clunk.sweeping.cells import Grid, Layout, Tile, most_of_load
 from clunk.sweeping.reduction import Reduction, heading_of, in_order, labels_of
 
-TOLERANCE_CELL = np.dtype(
-    [
-        ("outcomes", "i4"),  # number of labels
-        ("nominal_status", "u1"),
-        ("status", "u1"),  # of the first draw that failed
-        ("severity_mean", "f8"),
-        ("severity_quantiles", "f8", (len(QUANTILES),)),
-    ],
-    align=True,
+TOLERANCE_CELL = record_of(
+    outcomes="i4",  # number of labels
+    nominal_status="u1",
+    status="u1",  # of the first draw that failed
+    severity_mean="f8",
+    severity_quantiles=("f8", (len(QUANTILES),)),
 )
 # A label that runs of a cell had, and how many; the text is as long as the longest of a tile. That of the nominal run,
 # unless it failed, is the first of its cell, also where no draw had it.

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clunk.core.arrays import FloatArray, IntArray, Records
+from clunk.core.arrays import FloatArray, IntArray, Records, record_of
 from clunk.core.events import EVENT
 from clunk.core.exact import rows
 from clunk.core.exact.flows import LONG, TERMS, Flows
@@ -27,24 +27,21 @@ UNDER_WAY = 16 * WIDTH
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
 OF_SEEN = 13  # rows of lanes that a step keeps of a functional
 
-RUN = np.dtype(
-    [
-        ("tag", "i8"),  # the caller's
-        ("driveline", "i8"),
-        ("status", "i8"),
-        ("quality", "i8"),
-        ("count", "i8"),  # events so far
-        ("regime", "i8"),
-        ("stages", "i8"),  # changes of stage so far that are not written
-        ("searches", "i8"),  # in its last step that are under way
-        ("load", "i8"),  # its row of the loads
-        ("piece", "i8"),  # of the load
-        ("ended", "i8"),  # how the last step did, see `rows.GOES_ON`
-        ("guard", "i8"),  # the one that ended it, by an event
-        ("time", "f8"),  # s, when the phase began; after the end, when the run did
-        ("rolled", "f8"),  # rad, by the first inertia that rolls; the angles of the run are less that
-    ],
-    align=True,
+RUN = record_of(
+    tag="i8",  # the caller's
+    driveline="i8",
+    status="i8",
+    quality="i8",
+    count="i8",  # events so far
+    regime="i8",
+    stages="i8",  # changes of stage so far that are not written
+    searches="i8",  # in its last step that are under way
+    load="i8",  # its row of the loads
+    piece="i8",  # of the load
+    ended="i8",  # how the last step did, see `rows.GOES_ON`
+    guard="i8",  # the one that ended it, by an event
+    time="f8",  # s, when the phase began; after the end, when the run did
+    rolled="f8",  # rad, by the first inertia that rolls; the angles of the run are less that
 )
 
 
