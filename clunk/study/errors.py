@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 from clunk.study.records import counted, cut, fill
 
+_LONGEST = 40  # of a value in a sentence
+
 
 class ClunkError(Exception):
     """An error that a user can cause and mend: its text says what happened, where, and what to do about it."""
@@ -59,21 +61,21 @@ def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
     return ConfigError("\n".join(lines), ordered)
 
 
-def shorten(value: object, width: int = 40) -> str:
-    """A value as TOML writes it, cut to a width."""
+def shorten(value: object) -> str:
+    """A value as TOML writes it, cut where it is long."""
     if isinstance(value, str):
-        return json.dumps(cut(value, width), ensure_ascii=False)
+        return json.dumps(cut(value, _LONGEST), ensure_ascii=False)
     if isinstance(value, bool):
         text = "true" if value else "false"
     elif isinstance(value, dict):
         text = "a table"
     elif isinstance(value, list | tuple):
-        text = "[" + ", ".join(shorten(item, width) for item in value[:width]) + "]"
+        text = "[" + ", ".join(map(shorten, value[:_LONGEST])) + "]"
     elif isinstance(value, int) and abs(value) >= 2**63:
         text = "an integer beyond 64 bits"
     else:
         text = str(value)
-    return cut(text, width)
+    return cut(text, _LONGEST)
 
 
 def nearest(name: object, known: Iterable[str], cutoff: float = 0.6) -> str | None:
