@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.lib.recfunctions import require_fields
 
-from clunk.core.arrays import StopFlag
+from clunk.core.arrays import StopFlag, record_of
 from clunk.core.events import EVENT
 from clunk.core.exact.flows import Flows
 from clunk.core.measures import OF_IMPACTS, measure_runs
@@ -356,14 +356,14 @@ class Grid:
 
 def layout_of(study: Study) -> Layout:
     """Layout of the tiles of a study: what is measured follows what every run has."""
-    names = study.impacts.quantities
-    measures = [(name, "f8") for name in (*names, *(each.name for each in study.measures))]
-    return Layout(_with(CELL, measures), _with(IMPACT, measures[: len(names)]), "primary_impacts", len(study.lashes))
+    names, measures = study.impacts.quantities, (each.name for each in study.measures)
+    return Layout(_with(CELL, *names, *measures), _with(IMPACT, *names), "primary_impacts", len(study.lashes))
 
 
-def _with(record: np.dtype[np.void], fields: list[tuple[str, str]]) -> np.dtype[np.void]:
-    """A type of records with further fields."""
-    return np.dtype([*((name, record[name]) for name in record.names or ()), *fields], align=True) if fields else record
+def _with(record: np.dtype[np.void], *names: str) -> np.dtype[np.void]:
+    """A type of records with further numbers of these names."""
+    fields = {name: record[name] for name in record.names or ()}
+    return record_of(**fields, **dict.fromkeys(names, "f8"))
 
 
 def _joined(records: Records, layout: np.dtype[np.void], columns: Floats) -> Records:
