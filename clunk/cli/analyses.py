@@ -14,13 +14,15 @@ from clunk.cli import tables, terminal
 from clunk.cli.options import (
     EXIT_FAILED_CELLS,
     EXIT_MISMATCH,
-    PATH,
     at_option,
     cell_values,
     json_option,
     lash_option,
     nearest_values,
     output_option,
+    path_argument,
+    path_option,
+    repeated_option,
     study_argument,
     workers_option,
 )
@@ -34,9 +36,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @study_argument
-@click.argument("measurements", type=PATH)
-@click.option("--plot", "picture", type=PATH, help="Also draw the measured labels on maps: .png .svg .pdf.")
-@click.option("--write", "fitted_config", type=PATH, help="Also write the fitted config (.toml), to be swept.")
+@path_argument("measurements")
+@path_option("--plot", "picture", help="Also draw the measured labels on maps: .png .svg .pdf.")
+@path_option("--write", "fitted_config", help="Also write the fitted config (.toml), to be swept.")
 @lash_option
 @workers_option
 @json_option
@@ -83,7 +85,7 @@ def fit(
 @study_argument
 @output_option(help="Also write the config with the best values (.toml).")
 @click.option("--front", "traded", metavar="QUANTITY", help="Also find the least value for eight bounds on a quantity.")
-@click.option("--plot", "picture", type=PATH, help="Draw the run before and after, or the front: .png .svg .pdf.")
+@path_option("--plot", "picture", help="Draw the run before and after, or the front: .png .svg .pdf.")
 @lash_option
 @workers_option
 @json_option
@@ -151,10 +153,9 @@ def optimize(
 @click.command()
 @study_argument
 @at_option
-@click.option(
+@repeated_option(
     "--of",
     "quantities",
-    multiple=True,
     metavar="QUANTITY",
     help="severity, approach_velocity, primary_impacts, touches, last_event_time, severity<=8000, nominal_label, "
     "double_sided, chatter or label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",

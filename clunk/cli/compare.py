@@ -12,9 +12,10 @@ from clunk.cli import tables, terminal
 from clunk.cli.options import (
     EXIT_FAILED_CELLS,
     EXIT_MISMATCH,
-    PATH,
+    flag_option,
     json_option,
     output_option,
+    path_argument,
     study_argument,
     workers_option,
 )
@@ -24,10 +25,10 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("a", type=PATH)
-@click.argument("b", type=PATH)
+@path_argument("a")
+@path_argument("b")
 @output_option(help="Also draw where they differ, of lashes the first: .png .svg .pdf.")
-@click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
+@flag_option("--expect-equal", help="Exit with 4 where any label differs.")
 @json_option
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
     """Compare a results file with another, or with measurements.

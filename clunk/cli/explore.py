@@ -5,13 +5,13 @@ from pathlib import Path
 import click
 
 from clunk.cli import terminal
-from clunk.cli.options import PATH, set_option
+from clunk.cli.options import flag_option, path_argument, set_option
 
 
 @click.command()
-@click.argument("source", type=PATH)
+@path_argument("source")
 @set_option
-@click.option("--no-browser", is_flag=True, help="Only print the address of the page.")
+@flag_option("--no-browser", help="Only print the address of the page.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine [any that is free].")
 def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: int | None) -> None:
     """Open a page in the browser: point at a map, see the motion.

@@ -5,12 +5,12 @@ from pathlib import Path
 import click
 
 from clunk.cli import terminal
-from clunk.cli.options import PATH, file_argument
+from clunk.cli.options import file_argument, path_argument
 
 
 @click.command()
 @file_argument
-@click.argument("output", type=PATH)
+@path_argument("output")
 def export(file: Path, output: Path) -> None:
     """Write a map, or its boundaries, for other programs.
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import click
 
 from clunk.cli import tables
-from clunk.cli.options import file_argument, json_option
+from clunk.cli.options import file_argument, flag_option, json_option
 from clunk.study.records import fill, table
 
 
 @click.command()
 @file_argument
-@click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
-@click.option("--check", is_flag=True, help="Also say that its bytes match their checksum.")
+@flag_option("--config", "show_config", help="Print the whole resolved config (TOML) instead.")
+@flag_option("--check", help="Also say that its bytes match their checksum.")
 @json_option
 def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     """Say what a results file holds.

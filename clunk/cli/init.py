@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from clunk.cli.options import PATH
+from clunk.cli.options import flag_option, path_argument
 from clunk.study.errors import ClunkError
 
 # The title and the files that make each; a preset has no title, and a title stands before tables.
@@ -15,10 +15,10 @@ _STARTERS = {
 
 
 @click.command()
-@click.argument("path", type=PATH, required=False)
+@path_argument("path", required=False)
 @click.option("--from", "origin", type=click.Choice(tuple(_STARTERS)), default="rig", help="What to start from [rig].")
-@click.option("--force", is_flag=True, help="Overwrite an existing file.")
-@click.option("--schema", is_flag=True, help="Print the JSON Schema by which editors check configs.")
+@flag_option("--force", help="Overwrite an existing file.")
+@flag_option("--schema", help="Print the JSON Schema by which editors check configs.")
 def init(path: Path | None, origin: str, force: bool, schema: bool) -> None:
     """Write a commented starter config.
 

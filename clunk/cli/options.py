@@ -23,13 +23,16 @@ EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 PATH = click.Path(path_type=Path)
 
-file_argument = click.argument("file", type=PATH)
-output_option = functools.partial(click.option, "-o", "--output", type=PATH)
+path_argument = functools.partial(click.argument, type=PATH)
+path_option = functools.partial(click.option, type=PATH)
+flag_option = functools.partial(click.option, is_flag=True)
+repeated_option = functools.partial(click.option, multiple=True)
+file_argument = path_argument("file")
+output_option = functools.partial(path_option, "-o", "--output")
 
-set_option = click.option(
+set_option = repeated_option(
     "--set",
     "overrides",
-    multiple=True,
     metavar="KEY=VALUE",
     help="Override a key of the config, for example --set load.ratio=7; a relative path is one from the current "
     "directory. May be repeated.",
@@ -39,7 +42,7 @@ set_option = click.option(
 def study_argument(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the argument CONFIG, or a results file, and the option --set, as the study that they make."""
 
-    @click.argument("config", type=PATH)
+    @path_argument("config")
     @set_option
     @functools.wraps(command)
     def with_study(config: Path, overrides: tuple[str, ...], **options: Any) -> None:
@@ -48,9 +51,8 @@ def study_argument(command: Callable[..., None]) -> Callable[..., None]:
     return with_study
 
 
-at_option = click.option(
+at_option = repeated_option(
     "--at",
-    multiple=True,
     metavar="KEY=VALUE",
     help="Value of a swept key, the nearest that its axis has. May be repeated.",
 )
@@ -59,7 +61,7 @@ at_option = click.option(
 lash_option = click.option(
     "--lash", metavar="NAME", help="Of several lashes, the one that is meant, by name or number [the first]."
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
+json_option = flag_option("--json", "as_json", help="Print JSON for scripts.")
 workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from clunk.cli.options import at_option, file_argument, nearest_values, output_option
+from clunk.cli.options import at_option, file_argument, nearest_values, output_option, repeated_option
 
 _NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
 _LONGEST = 40  # signs of a lash's name that are in a file's
@@ -21,10 +21,9 @@ _LONGEST = 40  # signs of a lash's name that are in a file's
     help="One picture only: regimes, severity, touches, double_sided_impacts, 'severity<=8000', …",
 )
 @at_option
-@click.option(
+@repeated_option(
     "--facet",
     "facets",
-    multiple=True,
     metavar="KEY",
     help="A map for each value; twice: rows, columns.",
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, output_option, workers_option
+from clunk.cli.options import EXIT_MISMATCH, json_option, output_option, path_option, workers_option
 
 
 @click.command()
@@ -18,7 +18,7 @@ from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, output_option, w
     default="1",
     help="Only each n-th value of the maps' axes [1].",
 )
-@click.option("--table", type=PATH, help="Also write the claims into this Markdown file.")
+@path_option("--table", help="Also write the claims into this Markdown file.")
 @json_option
 def reproduce(output: Path, workers: int | None, coarsen: str, table: Path | None, as_json: bool) -> None:
     """Recompute the report that clunk is built on.

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import PATH, at_option, cell_values, json_option, output_option, set_option, study_of
+from clunk.cli.options import (
+    at_option,
+    cell_values,
+    json_option,
+    output_option,
+    path_argument,
+    repeated_option,
+    set_option,
+    study_of,
+)
 from clunk.study.records import Told, fill, words
 
 if TYPE_CHECKING:
@@ -24,13 +33,12 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
 
 
 @click.command()
-@click.argument("source", type=PATH)
+@path_argument("source")
 @set_option
 @at_option
-@click.option(
+@repeated_option(
     "--overlay",
     metavar="KEY=V1,V2,…",
-    multiple=True,
     help="A run for each value. May be repeated.",
 )
 @output_option(help="Picture (.png .svg .pdf), or data (.csv).")

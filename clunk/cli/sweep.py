@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, json_option, output_option, study_argument
+from clunk.cli.options import EXIT_FAILED_CELLS, flag_option, json_option, output_option, study_argument
 from clunk.study.records import counted
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 @output_option(help="Results file [results/CONFIG.h5].")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
-@click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
-@click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
+@flag_option("--force", help="Overwrite a results file of another config.")
+@flag_option("--restart", help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
 @click.option(
     "--boundaries/--no-boundaries",
     default=None,
