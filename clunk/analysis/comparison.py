@@ -32,6 +32,8 @@ METHODS = ("rk4", "exact")
 _SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in another way differ by rounding
 _ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
 
+Unlike = dict[str, dict[str, Any]]  # key -> its value in A and in B
+
 
 class Transition(Record):
     """A label of A that is another one in B, and in how many cells."""
@@ -107,8 +109,8 @@ class Comparison(Record, eq=False, repr=False):
     largest_differences: tuple[Difference, ...] = told(
         "largest differences in cells with equal labels, and share of B's largest"
     )
-    config_differences: dict[str, dict[str, Any]] = told("configs")
-    provenance_differences: dict[str, dict[str, Any]] = told("computed with or on other")
+    config_differences: Unlike = told("configs")
+    provenance_differences: Unlike = told("computed with or on other")
     verdict: str = told(SENTENCE)
     titles: dict[str, str] = told()
     cells: int = told("cells", key="cells_compared")
@@ -282,6 +284,6 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
         )
 
 
-def _unlike(a: dict[str, Any], b: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _unlike(a: dict[str, Any], b: dict[str, Any]) -> Unlike:
     """The keys that have different values, and these values."""
     return {key: {"a": a.get(key), "b": b.get(key)} for key in a | b if a.get(key) != b.get(key)}

@@ -67,7 +67,7 @@ class Runner:
         self._engine = engine or engine_of(None, workers)
         self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were looked at
 
-    def __call__(self, points: npt.ArrayLike, *, progress: Progress | None = None) -> Results:
+    def __call__(self, points: npt.ArrayLike, *, progress: Progress = unseen) -> Results:
         """Run points.
 
         Parameters
@@ -88,10 +88,10 @@ class Runner:
         """
         return self.run(self.checked(points), progress)
 
-    def run(self, values: Floats, progress: Progress | None = None) -> Results:
+    def run(self, values: Floats, progress: Progress = unseen) -> Results:
         """Run points, (n, keys), whose values are allowed."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
-        reduction.run(self._engine, progress or unseen)
+        reduction.run(self._engine, progress)
         return regime_map(reduction, self._attributes)
 
     def values(self, columns: Mapping[str, npt.ArrayLike]) -> Floats:
