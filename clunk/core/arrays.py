@@ -10,9 +10,10 @@ ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.int64]
 Positions = npt.NDArray[np.intp]  # in another array
 Records = npt.NDArray[np.void]
+RecordType = np.dtype[np.void]
 StopFlag = npt.NDArray[np.uint8]  # (1,)  set to non-zero from another thread to abandon runs
 
 
-def record_of(**fields: Any) -> np.dtype[np.void]:
+def record_of(**fields: Any) -> RecordType:
     """The type of a record with these fields, aligned as compiled functions read it."""
     return np.dtype([*fields.items()], align=True)

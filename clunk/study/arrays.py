@@ -5,7 +5,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.arrays import FloatArray, IntArray, Positions as Positions, Records as Records, record_of as record_of
+from clunk.core.arrays import (
+    FloatArray,
+    IntArray,
+    Positions as Positions,
+    Records as Records,
+    RecordType as RecordType,
+    record_of as record_of,
+)
 
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.lib.recfunctions import require_fields
 
-from clunk.core.arrays import StopFlag, record_of
+from clunk.core.arrays import RecordType, StopFlag, record_of
 from clunk.core.events import EVENT
 from clunk.core.exact.flows import Flows
 from clunk.core.measures import OF_IMPACTS, measure_runs
@@ -65,8 +65,8 @@ class Layout(NamedTuple):
     lashes : number of rows of each cell
     """
 
-    record: np.dtype[np.void]
-    detail: np.dtype[np.void]
+    record: RecordType
+    detail: RecordType
     counted_by: str
     lashes: int
 
@@ -360,13 +360,13 @@ def layout_of(study: Study) -> Layout:
     return Layout(_with(CELL, *names, *measures), _with(IMPACT, *names), "primary_impacts", len(study.lashes))
 
 
-def _with(record: np.dtype[np.void], *names: str) -> np.dtype[np.void]:
+def _with(record: RecordType, *names: str) -> RecordType:
     """A type of records with further numbers of these names."""
     fields = {name: record[name] for name in record.names or ()}
     return record_of(**fields, **dict.fromkeys(names, "f8"))
 
 
-def _joined(records: Records, layout: np.dtype[np.void], columns: Floats) -> Records:
+def _joined(records: Records, layout: RecordType, columns: Floats) -> Records:
     """Records of a type with further fields, whose values are columns."""
     joined = require_fields(records, layout)
     for name, column in zip((layout.names or ())[len(records.dtype.names or ()) :], columns.T, strict=True):

@@ -16,7 +16,7 @@ from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, label_order
 from clunk.results.maps import Results, quantities_of_config
-from clunk.study.arrays import Array, Cells, LabelCodes, Records
+from clunk.study.arrays import Array, Cells, LabelCodes, Records, RecordType
 from clunk.study.axes import lash_axis
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
@@ -128,7 +128,7 @@ class Reduction:
         return self._records, columns
 
 
-def _columns(size: int, record: np.dtype[np.void]) -> Columns:
+def _columns(size: int, record: RecordType) -> Columns:
     """An array of zeros for each field of a record: many records take half the time to make of these."""
     return {name: np.zeros(size, record[name]) for name in record.names or ()}
 
