@@ -1,4 +1,4 @@
-"""Functions for scripts and notebooks beside `load_study` and `simulate`: sweeps, points, fits, checks, pictures."""
+"""Functions for scripts and notebooks beside `load_study` and `simulate`: sweeps, tolerance maps, points, pictures."""
 
 from __future__ import annotations
 
