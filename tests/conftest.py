@@ -1,5 +1,6 @@
 """What every test may use."""
 
+import gc
 import os
 import signal
 import sys
@@ -19,6 +20,8 @@ from clunk.sweeping.sweep import sweep
 # The first call of a kernel compiles it, which takes longer than any deadline; the same examples on every machine.
 settings.register_profile("clunk", deadline=None, derandomize=True)
 settings.load_profile("clunk")
+# Seldom: each time, Python goes through the thousands of tests that stay in memory.
+gc.set_threshold(100_000)
 # In the background of a shell it is ignored, by what tests start and interrupt too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -57,6 +60,25 @@ def pytest_configure(config: pytest.Config) -> None:
             return  # of some files, each worker compiles what it needs
         with ProcessPoolExecutor(2, get_context("spawn")) as processes:
             list(processes.map(_compile, ("exact", "rk4")))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Leave out the slow values of a parameter unless slow tests are asked for.
+
+    There are 15,000 tests with them: each worker would take 3 s to make them, and then deselect them.
+    """
+    if metafunc.config.getoption("markexpr") == "not slow":
+        parametrize = metafunc.parametrize
+
+        def without_slow_values(names, values, **options):
+            parametrize(names, [value for value in values if not _is_slow(value)], **options)
+
+        metafunc.parametrize = without_slow_values
+
+
+def _is_slow(value) -> bool:
+    return any(mark.name == "slow" for mark in getattr(value, "marks", ()))
 
 
 def _compile(method: str) -> None:

@@ -133,7 +133,9 @@ def printed_by(program, tmp_path, **environment):
     return done.stdout
 
 
-@pytest.mark.parametrize("program", [ONE_PART, pytest.param(RUN, marks=pytest.mark.slow)], ids=["part", "run"])
+@pytest.mark.parametrize(
+    "program", [pytest.param(ONE_PART, id="part"), pytest.param(RUN, id="run", marks=pytest.mark.slow)]
+)
 def test_without_the_inner_parts_of_numba_the_bits_are_the_same(tmp_path, program):
     """Where numba has others than those that `partial` reaches for, its documented interface alone will do."""
     whole, hidden = (printed_by(each + program, tmp_path, XDG_CACHE_HOME=str(tmp_path)) for each in ("", HIDING))
