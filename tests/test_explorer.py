@@ -121,6 +121,7 @@ class TestSubject:
 
     def test_map_boundaries_and_run_with_other_numbers_are_those_of_the_config(self, subject, monkeypatch):
         monkeypatch.setattr("clunk.explorer.subject._LONGEST", 600.0)  # s: boundaries are traced on a slow machine, too
+        monkeypatch.setattr("clunk.analysis.lines._ON_ANY_MAP", 100_000)  # with all, either tracing takes 3 s
         numbers, cell = {"lash.contact.damping": 40.0}, {"load.ratio": 7.5, "lash.backlash_deg": 10.0}
         *_, traced = subject.maps({}, numbers, subject.results.lash_names[0], lambda *_: None)
         config = study_from_text(subject.config(cell, numbers))
@@ -128,6 +129,7 @@ class TestSubject:
         assert again.config_digest == traced.config_digest
         assert np.array_equal(again.severity, traced.severity)
         assert np.array_equal(again.label_map, traced.label_map)
+        assert len(traced.boundaries.curves) > 3
         assert np.array_equal(traced.boundaries.vertices, with_boundaries(config, again).boundaries.vertices)
         assert np.array_equal(simulate(config).events, subject.run(cell, numbers).trajectory.events)
 

@@ -49,7 +49,7 @@ def brief(monkeypatch):
     """A search of fewer runs."""
     monkeypatch.setattr(optimisation, "_EXPLORED", 1 << 9)
     monkeypatch.setattr(optimisation, "_GENERATIONS", 24)
-    monkeypatch.setattr(optimisation, "_STARTS", 2)
+    monkeypatch.setattr(optimisation, "_STARTS", 1)
 
 
 @pytest.fixture(scope="module")
