@@ -374,9 +374,9 @@ def hard_study(name):
 def test_tracing_of_hard_maps_ends_and_its_regions_have_the_labels_of_runs_in_them(name, monkeypatch):
     """Outside of unresolved cells 2 % of the points may lie in regions smaller than a cell, 1/12 of the map.
 
-    With a sixth of the runs that such coarse maps have, which end likewise.
+    With a twelfth of the runs that such coarse maps have, which end likewise.
     """
-    monkeypatch.setattr(lines, "_ON_ANY_MAP", lines._ON_ANY_MAP // 6)
+    monkeypatch.setattr(lines, "_ON_ANY_MAP", lines._ON_ANY_MAP // 12)
     swept = hard_study(name)
     results, told = clunk.sweep(swept, boundaries=False), []
     network = boundaries(swept, results, progress=lambda *numbers: told.append(numbers))

@@ -116,6 +116,6 @@ if __name__ == "__main__":
     parser.add_argument("--quick", action="store_true", help="one set with few draws")
     options = parser.parse_args()
     if options.quick:
-        main(options.which, 1, options.first, ["fit.draws=256", "fit.effective_draws=10"])
+        main(options.which, 1, options.first, ["fit.draws=64", "fit.effective_draws=4"])
     else:
         main(options.which, options.sets, options.first)
