@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.study.records import Record, Row, plain, table, text_of, value_lines
+from clunk.study.records import Record, Row, counted, plain, table, text_of, value_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -57,7 +57,7 @@ def print_outcomes(results: AnyMap) -> None:
         shown = sorted(rows, key=lambda row: -counts[row["label"]])[:_MOST_LABELS]
         print_table([row for row in rows if row in shown])
         if len(shown) < len(rows):
-            click.echo(f"  and {len(rows) - len(shown):,} labels of no more cells each; --json prints all")
+            click.echo(f"  and {counted(len(rows) - len(shown), 'label')} of no more cells each; --json prints all")
         if part.facts:
             click.echo()
             print_values(part.facts)
