@@ -50,7 +50,7 @@ def test_a_wave_in_resonance(closed, mode, off, contact):
 @pytest.mark.parametrize("bearing", [0.0, 0.1])
 @pytest.mark.parametrize("seconds", [1.0, 10.0, 1e3, 1e4])
 def test_a_lag_so_slow_that_it_is_a_ramp_beside_a_drift(seconds, bearing):
-    """In modes no digits were left of it at 1e4 s: 367 events for 9, and ten times the work of the load.
+    """In modes no digits were left of it at 1e4 s: there were 367 events for 9, at ten times the energy.
 
     What is left is the rounding of a torque of 20 N m for each second, of which the run sees the first part.
     """

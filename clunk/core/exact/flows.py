@@ -66,9 +66,7 @@ _ROUNDING = 1e-12  # relative to the largest of its kind
 # be measured from the one that it has at last, and of a difference of numbers that large no digits are left.
 _TOO_SLOW = 1e-10
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
-# Of the softest mode's rate (1 rad/s without any): a wave slower than that is so with a drift as slow. In modes, what
-# both move would be the difference of numbers 1e4 times as large.
-_SLOW = 1e-2
+_SLOW = 1.0  # its rate by the end time: so slow a wave is as in resonance with a drift, see `_with_wave`
 _GROWTH = math.exp(_SHORTEST / 2.0)
 _FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
 _FILLED = 3  # the first field of `Flows` that `_fill` fills: `build_flows` makes those before it of these
@@ -274,7 +272,8 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     if rates.shape[-1] > unforced:
         drive = into @ np.ascontiguousarray(rates[:, :unforced, unforced])[..., None]
         wave_rates = rates[:, unforced:, unforced:]
-        into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, modal)
+        slow = np.repeat(_SLOW / system.end_time[:, 0], flows.size) * (1 - tables.steady)
+        into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, slow, modal)
         slots = np.append(slots, _ends(slots) + np.arange(2))
         tables.steady[:] *= modal
     tables.modal[:] = modal
@@ -375,13 +374,20 @@ def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
 
 
 def _with_wave(
-    into: FloatArray, back: FloatArray, block: FloatArray, drive: FloatArray, wave: FloatArray, modal: bool
+    into: FloatArray,
+    back: FloatArray,
+    block: FloatArray,
+    drive: FloatArray,
+    wave: FloatArray,
+    slow: FloatArray,
+    modal: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
     """Coordinates, basis and generator with the wave as one pair more: y' = block y + drive w1, w' = wave w.
 
     As a mode it moves what is steady under it along, by the real part of v (w1 + i w2), (rate - block) v = drive. Where
     the flow has no modes, or one of them is in resonance with the wave, w is added as it is, scaled to drive no more
-    than the fastest.
+    than the fastest. So it is where its rate is below `slow`, (D,): what a drift moves along would be a difference of
+    numbers by the square of that rate too large.
 
     Returns the three, and whether they are modes.
     """
@@ -389,9 +395,7 @@ def _with_wave(
     rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # of w1 + i w2
     swings = np.sqrt(np.maximum(-block * block.mT, 0.0)).sum(axis=-1)
     away = abs(np.linalg.diagonal(block) - 1j * swings - rate).min(axis=-1, initial=np.inf)
-    softest = np.where(swings > 0.0, swings, np.inf).min(axis=-1, initial=np.inf)
-    slow, own = _SLOW * np.where(softest < np.inf, softest, 1.0), abs(rate[:, 0])
-    modal = modal and not alike(away <= np.where(own < slow, slow, _RESONANCE * own), 0)
+    modal = modal and not alike((away <= _RESONANCE * abs(rate[:, 0])) | (abs(rate[:, 0]) < slow), 0)
     (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))
     pushed[..., 0] = drive
     if modal:
