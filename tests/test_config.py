@@ -398,7 +398,7 @@ BROKEN = [
     (with_line(35, "step = 3.0"), "solver.step", 35, "longer than the run, end_time = 2 s"),
     (with_line(35, "step = 1e-10"), "solver.step", 35, "at most 1e+09"),
     (with_line(20, "radius = 1e-300"), "lash.radius", 20, "found 1e-300; must be from 1e-30 to 1e+30"),
-    (with_line(30, "static_torque = -1e155"), "load.static_torque", 30, "must be of a size from 1e-30 to 1e+30"),
+    (with_line(30, "static_torque = -1e155"), "load.static_torque", 30, "must be from -1e+30 to 1e+30"),
     (with_line(15, "stiffness = 1e16"), "driveline.shafts[3].stiffness", 15, "lost in rounding"),
     (with_line(20, "radius = 5e7"), "lash.contact.stiffness", 23, "1.023e+21 N m/rad here (with"),
     (with_line(3, "inertias = [1e11, 0.002, 0.002, 0.002]"), "driveline.inertias[1]", 3, "lost in rounding"),

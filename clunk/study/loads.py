@@ -16,7 +16,7 @@ from pydantic import Field
 
 from clunk.study.document import Document, read_text
 from clunk.study.errors import ClunkWarning, ConfigError, listing, shorten
-from clunk.study.tables import Findings, Inertia, NotEmpty, NotNegative, Positive, Quantity, Sizeable, Table, Text
+from clunk.study.tables import Bounded, Findings, Inertia, NotEmpty, NotNegative, Positive, Quantity, Table, Text
 
 # The torques before and after the load step are given by both of the first, or by both of the second.
 TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
@@ -75,20 +75,20 @@ class Load(Table):
 
     profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine", "steps"] = "step"
     on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")] = 1
-    static_torque: Annotated[Sizeable | None, Quantity("static torque", "Ts", "N m")] = None
-    ratio: Annotated[Sizeable | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
-    initial_torque: Annotated[Sizeable | None, Quantity("torque before the load step", "T0", "N m")] = None
-    final_torque: Annotated[Sizeable | None, Quantity("torque after the load change", "T1", "N m")] = None
+    static_torque: Annotated[Bounded | None, Quantity("static torque", "Ts", "N m")] = None
+    ratio: Annotated[Bounded | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
+    initial_torque: Annotated[Bounded | None, Quantity("torque before the load step", "T0", "N m")] = None
+    final_torque: Annotated[Bounded | None, Quantity("torque after the load change", "T1", "N m")] = None
     duration: Annotated[NotNegative | None, Quantity("duration of the load change", "d", "s")] = None
     time_constant: Annotated[NotNegative | None, Quantity("time constant of the load", "τ", "s")] = None
-    amplitude: Annotated[Sizeable | None, Quantity("amplitude of the load", "A", "N m")] = None
+    amplitude: Annotated[Bounded | None, Quantity("amplitude of the load", "A", "N m")] = None
     frequency: Annotated[Positive | None, Quantity("frequency of the load", "f", "Hz")] = None
     durations: Annotated[
         NotEmpty[Annotated[NotNegative, Quantity("duration {} of the load", "d{}", "s")]] | None,
         Field(max_length=_MOST_LEVELS, description="a list of durations (s), one for each level"),
     ] = None
     levels: Annotated[
-        NotEmpty[Annotated[Sizeable, Quantity("level {} of the load", "λ{}", "1")]] | None,
+        NotEmpty[Annotated[Bounded, Quantity("level {} of the load", "λ{}", "1")]] | None,
         Field(max_length=_MOST_LEVELS, description="a list of shares of the torque's change"),
     ] = None
     times: Annotated[
@@ -96,10 +96,10 @@ class Load(Table):
         Field(max_length=LONGEST_TABLE, repr=False, description="a list of times (s), from 0 on"),
     ] = None
     torques: Annotated[
-        NotEmpty[Annotated[Sizeable, Quantity("torque {} of the load", "T[{}]", "N m")]] | None,
+        NotEmpty[Annotated[Bounded, Quantity("torque {} of the load", "T[{}]", "N m")]] | None,
         Field(max_length=LONGEST_TABLE, repr=False, description="a list of torques (N m)"),
     ] = None
-    scale: Annotated[Sizeable, Quantity("scale of the load", "sT", "1")] = 1.0
+    scale: Annotated[Bounded, Quantity("scale of the load", "sT", "1")] = 1.0
     file: Annotated[Text | None, Field(description="the path of a trace: lines of time (s), torque (N m)")] = None
     step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
 

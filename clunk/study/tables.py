@@ -28,7 +28,7 @@ Finding = tuple[Place, str]  # a place, and what is wrong there
 Findings = Iterator[Finding]
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_DRAWS = 1_000_000  # of a sample
-LARGEST_SIZE = 1e30  # of numbers other than 0, and the smallest is its inverse
+LARGEST_SIZE = 1e30  # of numbers, and the smallest of positive ones is its inverse
 OTHER_UNITS = {"gap_mm": "backlash_deg", "stiffness_per_deg": "stiffness"}  # keys, and those that they become
 ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
 One = TypeVar("One")
@@ -163,8 +163,13 @@ def _not_zero(value: float) -> float:
 def _sizeable(value: float) -> float:
     # double precision multiplies such numbers
     if value != 0.0 and not 1.0 / LARGEST_SIZE <= abs(value) <= LARGEST_SIZE:
-        size = "" if value > 0.0 else "of a size "
-        raise refusal(f"found {value:g}; must be {size}from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
+        raise refusal(f"found {value:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
+    return value
+
+
+def _bounded(value: float) -> float:
+    if abs(value) > LARGEST_SIZE:
+        raise refusal(f"found {value:g}; must be from {-LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
     return value
 
 
@@ -172,7 +177,7 @@ OneOrSeveral = Annotated[
     Annotated[One, Tag(ONE)] | Annotated[Several, Tag(SEVERAL)],
     Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE),
 ]
-Sizeable = Annotated[float, AfterValidator(_sizeable)]
+Bounded = Annotated[float, AfterValidator(_bounded)]
 NotEmpty = Annotated[tuple[Item, ...], Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_sizeable)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_sizeable)]
