@@ -146,6 +146,54 @@ def test_a_bearing_that_all_but_brakes_nothing_changes_next_to_nothing(damping):
     assert balance(braked).relative_residual < 1e-7
 
 
+@pytest.mark.parametrize("inertia", [3e6, 1e8, 1e9])
+def test_the_bearings_of_a_heavy_part_drag_what_rolls_with_it_however_slowly_it_is_braked_itself(inertia):
+    """Counted as undamped, it carried a share of the torque that its bearing does: 17 % here, and nothing touched."""
+    shafts = [
+        (1, 2, 31.3, 0.08),
+        (2, 3, 31.3, 0.04),
+        (4, 5, 31.3, 0.1),
+        (1, "ground", 0.0, 0.1),
+        (4, "ground", 0.0, 0.02),
+    ]
+    runs = []
+    for heavy in (1e6, inertia):
+        plant = reference.Plant((0.024, 0.002, 0.002, 0.002, heavy), tuple(shafts), before=-6.0, after=-1.0)
+        runs.append(clunk.simulate(reference.study_of(plant, method="exact", end_time=1.0)))
+    one, other = (run.events["time"] for run in runs)
+    assert other.size == 7
+    assert other == pytest.approx(one, abs=3e-7)  # its speed changes by the torque over 1e6 kg m²
+    assert balance(runs[1]).relative_residual < 1e-12
+
+
+STOPPED = """
+driveline.inertias = [0.024, 0.002, 0.002, 0.003]
+driveline.shafts = [
+    { between = [1, 2], stiffness = 31.3, damping = 0.08 },
+    { between = [1, "ground"], damping = 0.1 },
+    { between = [4, "ground"], stiffness = 31.3, damping = 1e7 },
+]
+lash = [
+    { between = [2, 3], backlash_deg = 6.0, radius = 0.08, contact = { stiffness = 4.092e5, damping = 94.0 } },
+    { between = [3, 4], backlash_deg = 3.0, radius = 0.08, contact = { stiffness = 4.092e5, damping = 94.0 } },
+]
+load = { initial_torque = -6.0, final_torque = 1.0 }
+solver = { method = "exact", end_time = 1.0 }
+"""
+
+
+@pytest.mark.parametrize("damping", [1e8, 1e9])
+def test_a_spring_whose_rate_rounding_takes_beside_that_of_its_damper_does_not_move(damping):
+    """The slow one is 31.3/1e8 1/s, 1e-17 of the fast one: LAPACK has 0 for it, which is no drift.
+
+    It moves by what rounding of the fast rate makes, 7e-6 1/s at 1e8.
+    """
+    study = clunk.study_from_text(STOPPED)
+    runs = [clunk.simulate(clunk.replace_values(study, {"driveline.shafts[3].damping": c})) for c in (1e7, damping)]
+    one, other = (run.events["time"] for run in runs)
+    assert other == pytest.approx(one, abs=1e-14 * damping)
+
+
 def sizes(y):
     """(…, C/2, W): the amplitude of each pair."""
     halves = y.reshape(*y.shape[:-2], -1, 2, PAIRS, y.shape[-1])

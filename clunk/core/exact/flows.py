@@ -65,6 +65,7 @@ _ROUNDING = 1e-12  # relative to the largest of its kind
 # Of the softest mode's rate (1 rad/s without any): a drift that decays more slowly counts as undamped. Its speed would
 # be measured from the one that it has at last, and of a difference of numbers that large no digits are left.
 _TOO_SLOW = 1e-10
+_SMALL = 1e-8  # of the drag on all that rolls: that of a part which counts as undamped, however light or heavy it is
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _SLOW = 1.0  # its rate by the end time: so slow a wave is as in resonance with a drift, see `_with_wave`
 _GROWTH = math.exp(_SHORTEST / 2.0)
@@ -316,7 +317,9 @@ def _scale(chain: Chain) -> _Scaled:
     stiffness[:, free], stiffness[..., free] = 0.0, 0.0
     softest = squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True)
     softest[np.isinf(softest)] = 1.0
-    is_slow = alike(np.linalg.diagonal(damping) <= _TOO_SLOW * softest**0.5)
+    drag = np.sum(chain.rigid * (chain.damping @ chain.rigid), axis=(-2, -1))[:, None]
+    slowest = np.where(drag > 0.0, _SMALL * drag * abs(shapes).max(axis=-2, initial=0.0) ** 2, _TOO_SLOW * softest**0.5)
+    is_slow = alike(np.linalg.diagonal(damping) <= slowest)
     undamped = free & (is_slow | _are_free(shapes, chain.damping))
     damping[:, undamped], damping[..., undamped] = 0.0, 0.0
     squared = np.where(free, softest, squared)
@@ -433,6 +436,8 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         vectors = np.pad(vectors, ((0, 0), (0, 0), more), constant_values=1.0)
         kept = generator[others].take(stays, axis=-1)
         found, right = (array.astype(complex) for array in np.linalg.eig(kept.take(stays, axis=-2)))
+        # beside a rate 1e16 times as fast, a slow one is lost in rounding
+        found = np.where(found == 0.0, -np.finfo(float).eps * abs(found).max(axis=-1, keepdims=True), found)
         of_all = np.zeros((others.size, size, stays.size), complex)
         of_all[:, stays], of_all[:, moved] = right, kept.take(moved, axis=-2) @ right / found[:, None]
         for n in np.flatnonzero(drift[modes]):  # a rate of rolling is tiny, and LAPACK's rounding that of the largest
