@@ -11,7 +11,7 @@ from helpers.studies import random_study
 from clunk.plot import PlotError, histories
 from clunk.plot.histories import small_gap
 from clunk.results.export import save_history
-from clunk.simulation.history import sample
+from clunk.simulation.history import sample, shown_until
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
@@ -318,3 +318,14 @@ def test_where_friction_yields_at_a_touch_no_row_is_of_a_regime_that_lasts_no_ti
             first = acceleration[(history.time == impact.begin) & (history.event >= 0)]
             assert impact.smallest - scale <= first.min()
             assert first.max() <= impact.largest + scale
+
+
+def test_a_run_without_events_or_oscillations_is_shown_to_its_end():
+    """Of rigid flanks between parts without springs no mode is left that would take a time to fade."""
+    of_rigid = '[lash.contact]\nmodel = "restitution"\nrestitution = 0.5\n'
+    text = '[driveline]\ninertias = [0.02, 0.01]\n[[driveline.shafts]]\nbetween = [2, "ground"]\ndamping = 0.5\n'
+    text += f"[lash]\nbetween = [1, 2]\nbacklash_deg = 6.0\nradius = 0.08\n{of_rigid}[load]\ninitial_torque = 6.0\n"
+    run = simulate(study_from_text(text + "final_torque = 4.0\n[solver]\nend_time = 1.5\n"))
+    assert run.label == "NI"
+    assert shown_until(run) == run.study.load.step_time + 1.5
+    assert sample(run, until=shown_until(run)).time[-1] == pytest.approx(1.5 + run.study.load.step_time)

@@ -218,15 +218,15 @@ def shown_until(trajectory: Trajectory) -> float:
     """End of a picture of the run, on the axis of `History.time`  [s].
 
     Half as long again as its events last and not before its slowest oscillation in contact has died down, rounded up to
-    0.1 s; but at the run's end time at the latest.
+    0.1 s; but at the run's end time at the latest, and where nothing happens.
     """
     study = trajectory.study
     modes = steady_driveline(study).modes(closed=True)
     rate = np.min(2.0 * np.pi * modes.frequency * modes.damping_ratio, initial=np.inf)
     fading = -np.log(_FAINT) / rate if rate > 0.0 else study.solver.end_time
     span = min(max(1.5 * trajectory.events["time"][-1], fading), study.solver.end_time)
-    rounded = np.ceil(10.0 * (study.load.step_time + span) - 1e-9) / 10.0
-    return min(rounded, study.load.step_time + study.solver.end_time)
+    rounded, begin = np.ceil(10.0 * (study.load.step_time + span) - 1e-9) / 10.0, study.load.step_time
+    return min(rounded if rounded > begin else np.inf, begin + study.solver.end_time)
 
 
 # --- Sampling --------------------------------------------------------------------------------------------------------
