@@ -42,7 +42,9 @@ _VARIED: dict[tuple[str, str], str] = {
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
 MOST_REGIMES = 30_000  # of one driveline, which take some 5 s to prepare
-WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
+# Of one driveline: four digits of an inertia, and six of a spring, are left where they add up. Soft modes have none
+# beside springs that are a hundred times as stiff as that.
+WIDEST_OF_INERTIAS, WIDEST_OF_SPRINGS = 1e12, 1e10
 FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
 
 
@@ -140,11 +142,12 @@ def _sizes(config: Config) -> Findings:
             springs.append((lever * (lash.contact.stiffness or 0.0), (*at, "contact", "stiffness")))
             dampers.append((lever * (lash.contact.damping or 0.0), (*at, "contact", "damping")))
     stiff = [spring for spring in springs if spring[0] > 0.0]
-    for sizes, unit in ((masses, "kg m2"), (stiff or masses, "N m/rad")):
+    both = (masses, "kg m2", WIDEST_OF_INERTIAS), (stiff or masses[:1], "N m/rad", WIDEST_OF_SPRINGS)
+    for sizes, unit, widest in both:
         (smallest, at_smallest), (largest, at_largest) = min(sizes), max(sizes)
-        if largest > WIDEST_SPREAD * smallest:
+        if largest > widest * smallest:
             text = f"{largest:g} {unit} here (with ratio and radius) and {smallest:g} {unit} at {dotted(at_smallest)}"
-            text += f" are more than a factor of {WIDEST_SPREAD:g} apart; the smaller is lost in rounding"
+            text += f" are more than a factor of {widest:g} apart; the smaller is lost in rounding"
             yield at_largest, text
             return
     lightest, at_lightest = min(masses)
