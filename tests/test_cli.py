@@ -56,6 +56,19 @@ def test_sweep_plot_and_info_work_on_a_small_grid(command, small, here):
     assert all((here / name).stat().st_size > 10_000 for name in out.split())
 
 
+def test_the_files_of_a_front_are_not_what_it_reads(command, here):
+    """Nor any other file that none may be written in place of; told before the search."""
+    text = (ROOT / "configs/shaped_release.toml").read_text("utf-8")
+    (here / "best-1.toml").write_text(text, "utf-8")
+    code, _, err = command("optimize", "best-1.toml", "--front", "severity", "-o", "best.toml")
+    assert (code, (here / "best-1.toml").read_text("utf-8")) == (2, text)
+    assert "best-1.toml is what the command reads" in err
+    (here / "other-9.toml").mkdir()
+    code, _, err = command("optimize", "best-1.toml", "--front", "severity", "-o", "other.toml")
+    assert code == 2
+    assert "other-9.toml is a directory" in err
+
+
 @pytest.mark.parametrize("name", ["plot", "report"])
 def test_a_folder_is_no_results_file(command, name):
     assert command(name, ".")[::2] == (2, ". cannot be read: is a directory.\n")

@@ -36,7 +36,7 @@ _EXPLORED = 1 << 15  # runs
 _POPULATION = 16  # candidates of a generation for each free number
 _GENERATIONS = 300  # of a start, at most
 _SAME = 1e-3  # of the best value, by which those of starts that found the same differ
-_FRONT = 9  # optima of a trade-off
+FRONT = 9  # optima of a trade-off
 
 
 class Optimum(Record, repr=False):
@@ -137,7 +137,7 @@ class Problem:
         self.asked, self.optimize, self.runs = study, _table(study), 0
         self.progress: Progress = unseen
         self.bound: Quantity | None = None
-        self.searches = _FRONT if traded else 1
+        self.searches = FRONT if traded else 1
         self._lash = lash_position(lash, study.lash_names) + 1
         free, self.minimized = self.optimize.parameters, self.optimize.minimize
         self.low, self.high = np.array([(each.low, each.high) for each in free]).T
@@ -390,7 +390,7 @@ def front(
         if not points[0].holds:
             raise ClunkError("No values were found for which all conditions hold: there is nothing to trade.")
         try:
-            for bound in np.unique(np.linspace(0.0, points[0].quantities[quantity], _FRONT))[-2::-1]:
+            for bound in np.unique(np.linspace(0.0, points[0].quantities[quantity], FRONT))[-2::-1]:
                 if points[-1].quantities[quantity] <= bound:
                     continue  # the best within a wider bound, and so within this one
                 condition = f"{quantity}<={bound:.6g}"

@@ -114,7 +114,11 @@ def optimize(
     from clunk.simulation.trajectory import simulate
     from clunk.study.study import to_toml
 
-    files.check(output, (".toml",), reads=config)
+    targets = [output]
+    if output is not None and traded:
+        targets = [output.with_stem(f"{output.stem}-{k}") for k in range(1, optimisation.FRONT + 1)]
+    for target in targets:
+        files.check(target, (".toml",), reads=config)
     files.check(picture, files.PICTURES, reads=config)
     terminal.warn(study)
     options["progress"] = True
@@ -129,11 +133,10 @@ def optimize(
         found, interrupt = stopped.args[0], stopped
     tables.tell(found, as_json)
     points = found.points if isinstance(found, optimisation.Front) else (found,)
-    for k, best in enumerate(points, 1):
-        if output is not None:
-            path = output.with_stem(f"{output.stem}-{k}") if traded else output
-            files.write_text(path, to_toml(best.study))
-            terminal.say_written(path)
+    for target, best in zip(targets, points, strict=False):
+        if target is not None:
+            files.write_text(target, to_toml(best.study))
+            terminal.say_written(target)
     if interrupt is not None:
         interrupt.add_note("the search was not finished; this is the best that it has found")
         raise interrupt
