@@ -86,6 +86,7 @@ def test_importance_sampling_finds_a_gaussian_posterior_far_from_the_prior() -> 
 
 def test_one_bad_time_costs_its_logarithm_and_no_more() -> None:
     assert outlier_misfit(0.0) == 0.0
+    assert np.isfinite(outlier_misfit(np.array([1e155, -1e300, np.inf]))).all()  # whose square is not
     assert outlier_misfit(1.0) == pytest.approx(0.5, rel=0.01)  # normal near 0
     assert outlier_misfit(1e4) < 2.5 * outlier_misfit(1e2)
 

@@ -226,11 +226,12 @@ def outlier_misfit(deviation: Floats | float) -> Floats:
     """
     from scipy.stats import cauchy, norm
 
-    z = np.stack([deviation, np.zeros(np.shape(deviation))])
+    z = np.stack([np.clip(deviation, -_FARTHEST, _FARTHEST), np.zeros(np.shape(deviation))])
     density = (1.0 - _OUTLIERS) * norm.pdf(z) + _OUTLIERS * cauchy.pdf(z, scale=_OUTLIER_SCALE)
     return np.log(density[1] / density[0])
 
 
+_FARTHEST = 1e100  # standard deviations: the square of any more is infinite
 _SEARCHED = 16  # candidates of a population of the search, for each parameter
 _POPULATION = 512  # draws of the ensemble
 _KERNELS = 64  # of a proposal

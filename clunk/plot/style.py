@@ -177,7 +177,7 @@ def bare(symbol: str) -> str:
 
 def symbol_text(symbol: str) -> str:
     """Symbol as TeX with its subscripts: σr as σ with the subscript r, Td/Ts likewise."""
-    return re.sub(r"(?<!\w)([^\W\d_])([^\W\d_]|\d{1,2})(?!\w)", r"\1$_\\mathregular{\2}$", plain(symbol))
+    return re.sub(r"(?<!\w)([^\W\d_])([^\W\d_]\d{0,2}|\d{1,2})(?!\w)", r"\1$_\\mathregular{\2}$", plain(symbol))
 
 
 def tint(colour: str, depth: float) -> str:
