@@ -22,6 +22,7 @@ from clunk.study.config import study_from_text
 from clunk.study.rules import count_of_regimes
 from clunk.study.study import replace_values, to_toml
 from clunk.study.sweeps import Axis
+from clunk.sweeping.cells import MANY_TOUCHES
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 ENERGY = {"exact": 1e-9, "rk4": 1e-3}  # of the largest term: exact to rounding, rk4 as its step is
@@ -202,7 +203,8 @@ def _values(results):
 def test_thresholds_are_where_labels_change(verified):
     """By every fifth study, between two values of the first axis: runs at either end of what a threshold may be off by.
 
-    Where the least change of a value changes the label, rounding of the ends may do so: twice in a hundred at most.
+    Where the least change of a value changes the label, rounding of the ends may do so: twice in a hundred at most, but
+    for runs of so many touches that a sweep repeats them, by which it may be magnified to the size of the gap.
     """
     study = with_method(verified.study, "exact")
     results = verified.maps["exact"].of_lash()
@@ -219,9 +221,10 @@ def test_thresholds_are_where_labels_change(verified):
         if at:
             points = {key: [each[key] for each in at] for key in at[0]}
             points[found.along.parameter] = found.value + sign * found.off
-            labels = clunk.run_points(study, points, workers=1).of_lash().label_map
-            told = [found.word(code) for code in codes.tolist()]
-            assert np.count_nonzero(labels != told) <= max(1, 0.02 * labels.size)
+            runs = clunk.run_points(study, points, workers=1)
+            few = runs.touches.reshape(len(at), -1).sum(axis=1) < MANY_TOUCHES
+            told = np.array([found.word(code) for code in codes.tolist()])
+            assert np.count_nonzero((runs.of_lash().label_map != told) & few) <= max(1, 0.02 * few.sum())
 
 
 def test_a_sensitivity_is_of_its_nominal_run_and_a_fit_of_its_own_labels_meets_them(verified, tmp_path):

@@ -46,7 +46,7 @@ _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 16  # of a run in a lash, that there is room for at first
 # Of a run: 1e-16 of the gap is as large as the gap then, if each magnifies it 1.9 times. Of 75,713 runs of 700 random
 # studies, in 49 of which that happens, none of fewer than 59 has other impacts from inputs that differ by _NUDGED.
-_MANY_TOUCHES = 56
+MANY_TOUCHES = 56
 _NUDGED = 1.0 + 1e-12  # 1e4 times rounding: 1e2 times leave some chaotic runs as they are
 _OUTCOME = ["pattern", "touches"]  # that other impacts change
 _MOVED = 1e-6  # of a time, 1e6 times as much as what it is _NUDGED by
@@ -308,7 +308,7 @@ class Grid:
         """
         cells, details = self._followed(batch, cases, stop, room, logs, states)
         if self.study.solver.method == "exact" and self.study.solver.margin_tolerance:
-            long = np.flatnonzero(cells["touches"].sum(axis=1) >= _MANY_TOUCHES)
+            long = np.flatnonzero(cells["touches"].sum(axis=1) >= MANY_TOUCHES)
             if long.size:
                 again = cases.at(long)
                 again = again._replace(before=again.before * _NUDGED)
