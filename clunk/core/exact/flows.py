@@ -317,9 +317,9 @@ def _scale(chain: Chain) -> _Scaled:
     stiffness[:, free], stiffness[..., free] = 0.0, 0.0
     softest = squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True)
     softest[np.isinf(softest)] = 1.0
-    drag = np.sum(chain.rigid * (chain.damping @ chain.rigid), axis=(-2, -1))[:, None]
+    drag = np.sum(chain.rigid * product(chain.damping, chain.rigid), axis=(-2, -1))[:, None]
     slowest = np.where(drag > 0.0, _SMALL * drag * abs(shapes).max(axis=-2, initial=0.0) ** 2, _TOO_SLOW * softest**0.5)
-    is_slow = alike(np.linalg.diagonal(damping) <= slowest)
+    is_slow = alike(free & (np.linalg.diagonal(damping) <= slowest))
     undamped = free & (is_slow | _are_free(shapes, chain.damping))
     damping[:, undamped], damping[..., undamped] = 0.0, 0.0
     squared = np.where(free, softest, squared)
