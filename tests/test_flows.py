@@ -149,16 +149,10 @@ def test_a_bearing_that_all_but_brakes_nothing_changes_next_to_nothing(damping):
 @pytest.mark.parametrize("inertia", [3e6, 1e8, 1e9])
 def test_the_bearings_of_a_heavy_part_drag_what_rolls_with_it_however_slowly_it_is_braked_itself(inertia):
     """Counted as undamped, it carried a share of the torque that its bearing does: 17 % here, and nothing touched."""
-    shafts = [
-        (1, 2, 31.3, 0.08),
-        (2, 3, 31.3, 0.04),
-        (4, 5, 31.3, 0.1),
-        (1, "ground", 0.0, 0.1),
-        (4, "ground", 0.0, 0.02),
-    ]
-    runs = []
+    springs = (1, 2, 31.3, 0.08), (2, 3, 31.3, 0.04), (4, 5, 31.3, 0.1)
+    shafts, runs = (*springs, (1, "ground", 0.0, 0.1), (4, "ground", 0.0, 0.02)), []
     for heavy in (1e6, inertia):
-        plant = reference.Plant((0.024, 0.002, 0.002, 0.002, heavy), tuple(shafts), before=-6.0, after=-1.0)
+        plant = reference.Plant((0.024, 0.002, 0.002, 0.002, heavy), shafts, before=-6.0, after=-1.0)
         runs.append(clunk.simulate(reference.study_of(plant, method="exact", end_time=1.0)))
     one, other = (run.events["time"] for run in runs)
     assert other.size == 7

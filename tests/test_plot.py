@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.layers import Layers
 from clunk.plot.maps import shades_of
 from clunk.plot.plane import View
-from clunk.plot.style import FAILED_FILL, INK, colour_of, group_colour
+from clunk.plot.style import FAILED_FILL, INK, colour_of, group_colour, symbol_text
 from clunk.results.maps import Results
 from clunk.results.quantities import quantity_of
 from clunk.study.axes import ResultAxis
@@ -199,6 +200,16 @@ def test_axes_carry_name_symbol_and_unit(nine_map: Figure) -> None:
     assert plain == ["Load ratio σr = Td/Ts", "Backlash φθ [degrees]"]
     assert line_under(nine_map) == "ideal torque step"
     assert nine_map.get_suptitle() == "Regimes of the nominal driveline"
+
+
+@pytest.mark.parametrize(
+    ("symbol", "subscripts"),
+    [("φθ", ["θ"]), ("φθ2", ["θ2"]), ("k12", ["12"]), ("σr = Td/Ts", ["r", "d", "s"]), ("τ", [])],
+)
+def test_all_that_follows_the_letter_of_a_symbol_is_its_subscript(symbol: str, subscripts: list[str]) -> None:
+    text = symbol_text(symbol)
+    assert re.findall(r"\$_\\mathregular{(\w+)}\$", text) == subscripts
+    assert re.sub(r"\$_\\mathregular{(\w+)}\$", r"\1", text) == symbol
 
 
 def threshold_marks(ax: Axes) -> list[float]:

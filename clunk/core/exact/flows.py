@@ -20,7 +20,8 @@ Four pairs of coordinates lie together: first the one member of each, then the o
 
 A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
 the energy; that never grows either. It can take the shortest span only, by its Taylor series. So does a flow with a
-mode in resonance with the wave, of which |y| grows, but by no more than _GROWTH over that span.
+mode in resonance with the wave, or with a drift under one that is slower than the run, of which |y| grows, but by no
+more than _GROWTH over that span.
 """
 
 import math
@@ -62,12 +63,13 @@ _MAX_CONDITION = 4e4  # of unit eigenvectors in energy coordinates, by Frobenius
 _TINY = 1e-300  # instead of zero, as a divisor
 _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
-# Of the softest mode's rate (1 rad/s without any): a drift that decays more slowly counts as undamped. Its speed would
-# be measured from the one that it has at last, and of a difference of numbers that large no digits are left.
-_TOO_SLOW = 1e-10
-_SMALL = 1e-8  # of the drag on all that rolls: that of a part which counts as undamped, however light or heavy it is
+# A part that turns freely with less than this share of the drag on all that rolls counts as undamped, however light or
+# heavy it is. Its speed would be measured from the one that it has at last, and of a difference of numbers that large
+# no digits are left; while it rolls, it would lose the share of the torque that its drag takes.
+_SMALL = 1e-8
+_TOO_SLOW = 1e-10  # likewise, where nothing is dragged as it rolls, of the softest mode's rate (1 rad/s without any)
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
-_SLOW = 1.0  # its rate by the end time: so slow a wave is as in resonance with a drift, see `_with_wave`
+_SLOW = 1.0  # a wave's rate by the end time: below it, it is as in resonance with a drift, see `_with_wave`
 _GROWTH = math.exp(_SHORTEST / 2.0)
 _FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
 _FILLED = 3  # the first field of `Flows` that `_fill` fills: `build_flows` makes those before it of these
@@ -389,8 +391,8 @@ def _with_wave(
 
     As a mode it moves what is steady under it along, by the real part of v (w1 + i w2), (rate - block) v = drive. Where
     the flow has no modes, or one of them is in resonance with the wave, w is added as it is, scaled to drive no more
-    than the fastest. So it is where its rate is below `slow`, (D,): what a drift moves along would be a difference of
-    numbers by the square of that rate too large.
+    than the fastest. So it is where its rate is below `slow`, (D,)  [1/s]: as a mode it would move a drift along by the
+    drive over the square of that rate, of which the drift would take nearly all back.
 
     Returns the three, and whether they are modes.
     """
