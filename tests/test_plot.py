@@ -471,6 +471,21 @@ def test_a_strip_names_the_regimes_over_the_curve() -> None:
     assert curve.get_ylabel() == "Severity Q [rad/s²]"
 
 
+def test_a_strip_of_answers_jumps_between_no_and_yes() -> None:
+    figure = plot.draw(one_axis([0] * 5 + [4] * 5, 1000.0 * np.arange(10.0)), "severity<=6500")
+    curve = figure.axes[1]
+    assert [text.get_text() for text in curve.get_yticklabels()] == ["no", "yes"]
+    heights = [set(line.get_ydata()) for line in curve.lines if line.get_marker() == "o"]
+    assert heights == [{1.0}, {1.0}, {0.0}]  # no line slopes from one to the other
+
+
+def test_a_strip_of_counts_has_whole_ticks() -> None:
+    results = one_axis([0] * 3 + [4] * 3)
+    figure = plot.draw(results, "double_sided_impacts")
+    ticks = figure.axes[1].get_yticks()
+    assert np.array_equal(ticks, np.rint(ticks))
+
+
 def test_a_single_cell_is_drawn_as_a_strip(tmp_path: Path) -> None:
     figure = plot.draw(one_axis([4]), "regimes")
     assert [text.get_text() for text in figure.axes[0].texts] == ["DS(1)SS(1)"]

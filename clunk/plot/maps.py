@@ -204,7 +204,13 @@ def strip(layers: Layers) -> Figure:
         band.axvline(edge, color=INK, linewidth=0.9, zorder=2)
         ax.axvline(edge, color=FAINT_INK, linewidth=0.6, linestyle=DASHED, zorder=1)
     look = {"color": LINE_COLOURS[0], "markersize": min(3.0, 300.0 / samples.size), "clip_on": False, "zorder": 3}
-    for cells in np.split(np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1):
+    jumps, kind = np.diff(layers.codes) != 0, layers.quantity.type
+    if kind == YES_NO and np.isin(layers.values[np.isfinite(layers.values)], (0.0, 1.0)).all():  # of runs, not of draws
+        jumps |= np.diff(layers.values) != 0.0
+        ax.set_yticks([0.0, 1.0], ["no", "yes"])
+    elif kind == WHOLE:
+        ax.yaxis.set_major_locator(ticker.MaxNLocator(integer=True))
+    for cells in np.split(np.arange(samples.size), np.flatnonzero(jumps) + 1):
         ax.plot(samples[cells], layers.values[cells], "o-", **look)  # it jumps between regimes
     scale_axis(ax, "x", layers.view.x)
     ax.set_xlim(edges[0], edges[-1])
