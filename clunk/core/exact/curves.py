@@ -1,7 +1,7 @@
-"""Functionals of runs side by side, one in each lane: their values, bounds of their derivatives, and what those prove.
+"""Functionals of the runs in the lanes: their values, bounds of their derivatives, and what these bounds prove.
 
-Of each run there are modal coordinates, C of them, the first rows of `work`, and the amplitudes of their pairs. The
-tables are those of `flows.Flows`, for one flow and one functional.
+The first C rows of `work` hold the modal coordinates of the runs, one run in each lane, and the rows of `amplitudes`
+the amplitudes of the pairs of coordinates. Tables are the parts of `flows.Flows` for one flow and one functional.
 """
 
 from typing import NamedTuple
@@ -12,19 +12,23 @@ from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Table, Vector, fused
 
-A_SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
-# How far a function may be from the polynomial with its values, slopes and curvatures at both ends, at most, by its
-# sixth derivative over (0, 1): by the middle one of seven Bernstein coefficients, as a slope, and as a curvature
+A_SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # rounded up; a product is quicker than a division
+# Bounds, per unit of the sixth derivative over (0, 1), of how far a function is from the quintic that has its values,
+# slopes and curvatures at both ends: by the middle one of seven Bernstein coefficients, as a slope, and as a curvature
 _REMAINDER = 1.0 / 14400.0 * (1.0 + 1e-15)
-_SLOPE_REMAINDER = 7.45355992499930e-5  # √5 / 30000: Birkhoff & Priver 1967, as the next
+_SLOPE_REMAINDER = 7.45355992499930e-5  # √5 / 30000; this and the next are those of Birkhoff & Priver 1967
 _CURVATURE_REMAINDER = 1.0 / 1920.0 * (1.0 + 1e-15)
-# What makes a guess of how long a guard stays positive: of the bounds of its derivatives, so much
+# Factors of the bounds of the third and the sixth derivative in `guess`; a bound that is proved has 1 instead of 0.2
+# and 1.5
 _OF_THE_THIRD = 0.2 / 6.0
 _OF_THE_SIXTH = 1.5 / 14400.0
 
 
 class Curve(NamedTuple):
-    """A function of time in each lane, as it is now, and bounds of the size of two of its derivatives from now on."""
+    """A function of time in each lane: its value and derivatives now, and bounds of two higher ones from now on.
+
+    The bounds are of the magnitudes of the third and the sixth derivative.
+    """
 
     value: Vector
     slope: Vector
@@ -34,7 +38,7 @@ class Curve(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """A functional or state of a flow's particular solution: its value and three derivatives; the last is constant."""
+    """A functional, or a state, of a flow's particular solution: its value and three derivatives, the last constant."""
 
     value: Vector
     slope: Vector
@@ -44,13 +48,13 @@ class Origin(NamedTuple):
 
 @inlined_part
 def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
-    """Share of a pair of coordinates in the number of a functional that begins at a place of `watch`."""
+    """Contribution of a pair of coordinates to a sum whose factors lie in `watch`, that of the first member at `at`."""
     return fused(other, vectors.number(watch, at + PAIRS), one * vectors.number(watch, at))
 
 
 @inlined_part
 def evaluate(watch: Table, work: FloatArray, amplitudes: FloatArray, size: int) -> tuple[Curve, Vector]:
-    """A functional less its origin, and a bound of the size of its value from now on.
+    """A functional less its origin, and its sway: a bound of the magnitude of that difference from now on.
 
     amplitudes : (C/2, W) float64
     size : C
@@ -84,7 +88,10 @@ def load_curve(array: FloatArray, row: int) -> Curve:
 
 @inlined_part
 def as_guard(curve: Curve, origin: Origin, sign: Vector, shift: Vector) -> Curve:
-    """sign, 1 or -1, times a functional, its origin included, plus shift."""
+    """The guard sign · (functional with its origin) + shift; sign is 1 or -1.
+
+    Origins are cubic in time and add nothing to the sixth derivative.
+    """
     return Curve(
         fused(sign, curve.value + origin.value, shift),
         sign * (curve.slope + origin.slope),
@@ -96,14 +103,20 @@ def as_guard(curve: Curve, origin: Origin, sign: Vector, shift: Vector) -> Curve
 
 @inlined_part
 def low(guard: Curve, h: Vector) -> Vector:
-    """A bound, concave in h: a guard that is positive stays so within a time h for which this is."""
+    """Lower bound of a guard after a time h, concave in h.
+
+    So a guard that is positive now stays positive up to any h for which the bound is positive.
+    """
     bent = fused(guard.third_bound * -A_SIXTH, h, 0.5 * vectors.smaller(guard.curvature, 0.0))
     return fused(fused(bent, h, guard.slope), h, guard.value)
 
 
 @inlined_part
 def guess(guard: Curve, h: Vector) -> Vector:
-    """Estimate that is positive where a guard probably stays so within h, and `between` can probably prove it."""
+    """Estimate of a guard after a time h.
+
+    Where it is positive, the guard probably stays positive within h, and `between` can probably prove it.
+    """
     square = h * h
     bent = fused(guard.third_bound * -_OF_THE_THIRD, h, 0.5 * guard.curvature)
     expected = fused(fused(bent, h, guard.slope), h, guard.value)
@@ -112,10 +125,11 @@ def guess(guard: Curve, h: Vector) -> Vector:
 
 @inlined_part
 def falls_by(guard: Curve) -> Vector:
-    """Lower bound of the distance that a guard falls before it turns back; 0 if it rises.
+    """Lower bound of the distance that a guard falls before it turns back; 0 (or NaN) if it rises.
 
-    NaN or -inf where that is so far that rounding hides it. By what bounds its third derivative, it falls for a time at
-    least. Nearly all of that is looked at, so that rounding does not matter.
+    The bound of its third derivative gives a least time for which the guard goes on falling. The distance is taken at
+    nine tenths of this time, so that rounding does not matter. It is NaN or -inf where the curvature is so negative,
+    and the guard so far from turning, that the time's denominator is rounded to zero.
     """
     fall, bend = vectors.larger(-guard.slope, 0.0), guard.curvature
     h = 1.8 * fall / (bend + vectors.root(fused(bend, bend, 2.0 * guard.third_bound * fall)))
@@ -126,15 +140,15 @@ def falls_by(guard: Curve) -> Vector:
 def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector]:
     """Bounds of a function within a time h, by its value, slope and curvature at both ends.
 
-    Over t from 0 to 1 it is the quintic through these six numbers, plus f⁽⁶⁾ h⁶/720 · t³ (t - 1)³ at some time within.
-    Since 20 t³ (1 - t)³ is the middle Bernstein polynomial of degree six, it lies between the least and the greatest of
-    the quintic's seven coefficients of that degree, the middle one widened by the bound of |f⁽⁶⁾| times h⁶/14400. The
-    outer two are the values at the ends.
+    For t from 0 to 1, the function f is the quintic through these six numbers, plus f⁽⁶⁾ h⁶/720 · t³ (t - 1)³ with f⁽⁶⁾
+    at some time within. Since 20 t³ (1 - t)³ is the middle Bernstein polynomial of degree six, f lies between the least
+    and the greatest of the quintic's seven Bernstein coefficients of that degree, the middle one widened by the bound
+    of |f⁽⁶⁾| times h⁶/14400. The outer two coefficients are the values at the ends.
 
     Returns
     -------
     least, greatest : Vector
-        Of the inner five coefficients.
+        Of the inner five coefficients, the middle one widened.
     """
     square = h * h
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
@@ -150,7 +164,7 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector]:
 
 @inlined_part
 def turns_not(start: Curve, end: Curve, h: Vector) -> tuple[int, int]:
-    """Lanes where a function is monotone within a time h, and lanes where it bends down all the way."""
+    """Lanes where a function is proved to be monotone within a time h, and lanes where it is proved to be concave."""
     square = h * h
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
     a, b = fused(q0, 0.25, s0), fused(q1, -0.25, s1)

@@ -1,7 +1,7 @@
-"""Functionals of the runs that have been taken, by the tables of the flow that these are in.
+"""Functionals of the items taken from a queue, by the tables of the flow that all of these items are in.
 
-Either all runs have one driveline, whose tables are read as they are; or each may have another, and what is read of
-theirs is gathered first, so that each lane has its own.
+If all runs have one driveline, its tables are read in place. If drivelines may differ from lane to lane
+(`Workspace.mixed`), the parts that are read are first gathered into arrays with a column for each lane.
 """
 
 from clunk.core.arrays import FloatArray
@@ -17,24 +17,29 @@ from clunk.core.tables import INPUTS
 
 @part
 def gather(space: Workspace, table: FloatArray, number: int, count: int, to: FloatArray) -> None:
-    """Gather the block with a number, of `count` numbers, at least ROW, of a table of each lane's driveline.
+    """Gather one block of a table, that of each lane's driveline, into the lane's column of `to`.
 
     table : (D, …) float64
+        Of each driveline, blocks of `count` numbers.
+    number : which block
+    count : at least ROW
     to : (count or more, W) float64
     """
     numbers, places = table.size // table.shape[0], space.pool.places
     for lane in range(WIDTH):
         places[lane] = space.drivelines[lane] * numbers + number * count
     for row in range(0, count, ROW):
-        at = min(row, count - ROW)  # nothing is read behind the table's end
+        at = min(row, count - ROW)  # the last rows overlap: nothing is read behind the table's end
         vectors.gather(table, places, at, to, at)
 
 
 @part
 def gather_tables(space: Workspace, flow: int, items_per_run: int) -> None:
-    """Look up the drivelines of the items taken, and gather what is of theirs in a flow.
+    """Look up the drivelines of the items taken, and gather their tables of a flow.
 
-    That is its shortest span, and its functionals and their origins.
+    These are the flow's shortest span, and its functionals (`Flows.watch`) with their origins (`Flows.origin_output`).
+
+    items_per_run : 1 for steps, `Workspace.searches_each` for searches
     """
     for lane in range(WIDTH):
         driveline = space.runs[space.pool.items[lane] // items_per_run].driveline
@@ -48,7 +53,7 @@ def gather_tables(space: Workspace, flow: int, items_per_run: int) -> None:
 
 @inlined_part
 def evaluate(space: Workspace, flow: int, f: int) -> tuple[curves.Curve, Vector]:
-    """`curves.evaluate` of the runs taken."""
+    """`curves.evaluate` of functional `f` in a flow, for the items taken."""
     work, amplitudes, size = space.pool.work, space.amplitudes, space.behind
     if space.mixed:
         return curves.evaluate(OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :]), work, amplitudes, size)
@@ -57,9 +62,10 @@ def evaluate(space: Workspace, flow: int, f: int) -> tuple[curves.Curve, Vector]
 
 @inlined_part
 def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector) -> Origin:
-    """The origin of a functional of the runs taken, after a time in their phase.
+    """The origin of functional `f` in a flow, for the items taken.
 
-    inputs_at : where the regime's inputs lie in the rows that were taken
+    inputs_at : the row of `Pool.work` where the regime's inputs u begin
+    elapsed : since the phase began  [s]
     """
     output, driven = space.flows.origin_output, space.system.input_count
     first, order = f * driven, output.shape[3] * driven
@@ -73,11 +79,12 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector)
 def weighed_origin(
     space: Workspace, weights: Table, first: int, stride: int, order: int, at: int, still: bool, elapsed: Vector
 ) -> Origin:
-    """The origin of a functional or a state after a time: its value and derivatives by the inputs.
+    """The origin of a functional or a state: weighted sums of the inputs, carried on from the phase's beginning.
 
-    weights : begin at `first`, one for each input and `stride` apart; those of the next derivative lie `order` behind
-    at : where the inputs lie in the rows that were taken
-    still : whether it does not move; its derivatives are then left out, which saves a tenth of a step's time
+    weights : one for each input, from `first` on and `stride` apart; those of the next derivative begin `order` further
+    at : the row of `Pool.work` where the inputs begin
+    still : whether the origin is constant; its derivatives are then left out, which saves a tenth of a step's time
+    elapsed : since the phase began  [s]
     """
     value = weighed(space, weights, first, stride, at)
     slope = curvature = third = vectors.splat(0.0)
@@ -93,10 +100,10 @@ def weighed_origin(
 
 @inlined_part
 def weighed(space: Workspace, weights: Table, first: int, stride: int, at: int) -> Vector:
-    """Weights times the inputs of the runs taken, in rows from `at` on; rounded once a term."""
+    """Sum of weights times inputs, which begin in row `at` of `Pool.work`; rounded once for each term."""
     work = space.pool.work
     total = vectors.load(work, at) * vectors.number(weights, first)
-    for k in range(1, INPUTS):  # as many as a plain driveline has: by a known number, a run takes 3 % less time
+    for k in range(1, INPUTS):  # those of a plain driveline: with a constant count, a run takes 3 % less time
         total = fused(vectors.load(work, at + k), vectors.number(weights, first + k * stride), total)
     for k in range(INPUTS, space.system.input_count):
         total = fused(vectors.load(work, at + k), vectors.number(weights, first + k * stride), total)
@@ -105,7 +112,10 @@ def weighed(space: Workspace, weights: Table, first: int, stride: int, at: int) 
 
 @inlined_part
 def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: Origin) -> Vector:
-    """`taylor.expand` of the runs taken, into `space.series`."""
+    """`taylor.expand` of functional `f` in a flow, for the items taken, into `Workspace.series`.
+
+    at : the functional's origin
+    """
     size, shortest, series, work = space.behind, shortest_span(space, flow), space.flows.series, space.pool.work
     if space.mixed:
         gather(space, series, flow * series.shape[2] + f, size * LONG, space.lane_table)

@@ -1,17 +1,19 @@
 """The margin of a run: how near each of its lashes came to another label, by the exact method.
 
-It is the smallest in size of
+The margin of a lash is the number of the smallest magnitude among these, all without unit:
 
-- positive, what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the whole
-  gap; where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
-  torque that locks them), as a share of its value at rest; and where rigid flanks rebound, and touch again on the same
-  side, the larger of their speed, as a share of the fastest touch's, and of that torque, likewise;
-- negative, what did: how much further a primary touch, or the end of a sticking contact, would have gone, were the
-  contact not to change; where rigid flanks lock, and touch again on the same side, the torque that locks them;
+- positive, for what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the
+  whole gap; the least overlap of flanks that have been in contact for longer than the sticking time (restitution: the
+  least torque that locks them), as a share of its value at rest; and where rigid flanks rebound, and touch again on the
+  same side, the larger of two shares: the speed of the rebound, as a share of the fastest touch's, and the torque that
+  would lock them, as a share of its value at rest;
+- negative, for what did happen: how much deeper the guard of a primary touch, or of the end of a sticking contact,
+  would have gone if the contact had not changed, as a share of the same gap or value at rest; where rigid flanks lock,
+  and touch again on the same side, the torque that locks them, as a share of its value at rest;
 - of either sign: 1 - (length of a contact)/(sticking time), at each separation; and the torque in contact before the
   load step, as a share of the one at rest at the load's end.
 
-The turns of guards, and how deep they would go, `search` finds within a step.
+How low guards turn within a step, and how deep they would go beyond it, is located by `search`.
 """
 
 from clunk.core.arrays import FloatArray
@@ -27,22 +29,26 @@ from clunk.core.status import OK, QUALITY_GRAZING
 from clunk.core.switching import preload, steady_torque
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
-MOST = 0.25  # larger margins are not looked for, and written as this
+MOST = 0.25  # larger margins are not looked for, and are written as this one
 
 
 @inlined_part
 def _take(own: FloatArray, margin: float) -> None:
-    """Take a margin of a lash, whose numbers are `own`, where it is the smallest so far; NaN is none."""
+    """Keep a margin of a lash if it is the smallest in magnitude so far; NaN is ignored.
+
+    own : the lash's row of `Workspace.of_lashes`
+    """
     if abs(margin) < abs(own[rows.MARGIN]):
         own[rows.MARGIN] = margin
 
 
 @part
 def set_static(space: Workspace, slot: int, start: Start) -> None:
-    """Set `static`: how far flanks overlap, or the torque that locks them, in steady motion at the load's end.
+    """Set `static` of each lash to the overlap of its flanks at rest, or between rigid ones to the torque at rest.
 
-    Where there is none, it is that before the load step; without a flank it is zero. The run's state is overwritten.
-    Takes the margin of the initial flanks.
+    At rest means in steady motion in contact under the load's last torque or, if there is no such motion, before the
+    load step; if there is none either, `static` is zero. Units are rad and N m. Also takes the margin of the torque in
+    contact before the load step. Overwrites the run's row of `Workspace.state`.
     """
     system, inputs = system_of(space, slot), space.inputs[slot]
     x = space.state[slot, : system.lashes.shape[1]]
@@ -55,32 +61,37 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
         side = system.contacts[regime, lash].side
         torque = steady_torque(system, regime, lash, inputs)
         static = side * torque if system.impulsive else overlap_of(system, lash, side, x, inputs)
-        own = space.of_lashes[slot, lash]
-        _take(own, steady_torque(system, start.regime, lash, start.before) / torque)
+        lash_fields = space.of_lashes[slot, lash]
+        _take(lash_fields, steady_torque(system, start.regime, lash, start.before) / torque)
         space.courses[slot, lash].static = max(static, 0.0) if status == OK else 0.0
 
 
 @inlined_part
 def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
-    """Take what the event that ended a run's phase says of the margin of its lash."""
+    """Take the margin that the event which ended a run's phase gives its lash, if any.
+
+    A touch on the flank touched last gives the margin noted at that touch; a separation, that of the contact's length;
+    a rejoin after the sticking time, that of the overlap.
+    """
     system, row = at.system, space.runs[slot]
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
-    course, own = space.courses[slot, lash], space.of_lashes[slot, lash]
+    course, lash_fields = space.courses[slot, lash], space.of_lashes[slot, lash]
     if guard.event_kind == TOUCH and guard.side == course.last_side:
-        _take(own, course.margin)
+        _take(lash_fields, course.margin)
     elif guard.event_kind == SEPARATION:
-        _take(own, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
+        _take(lash_fields, 1.0 - (at.time - course.contact_began) / system.sticking_time[lash])
     elif guard.event_kind == REJOIN and at.time - course.contact_began > system.sticking_time[lash]:
         # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
-        _take(own, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / course.static)
+        _take(lash_fields, max(overlap_of(system, lash, guard.side, at.x, at.inputs), 0.0) / course.static)
 
 
 @inlined_part
 def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
-    """Note how near rigid flanks that have just touched are to locking, or to not doing so: COURSE's `margin`.
+    """Set COURSE `margin` of rigid flanks that have just touched: how near a rebound is to a lock, or a lock to none.
 
-    Between flanks that lock and those that rebound until they part lies a touch after which they are as slow, and as
-    slightly held, as at a lock.
+    Between runs whose flanks lock and runs whose flanks rebound until they part lies one with a touch after which the
+    flanks are as slow as at a lock, and the torque that locks them is as small. So the margin of a rebound is the
+    larger of its speed and that torque, and the margin of a lock is minus the torque, as shares.
     """
     system, row = at.system, space.runs[slot]
     if not system.impulsive or system.guards[row.regime, row.guard].event_kind != TOUCH:
@@ -97,7 +108,10 @@ def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
 
 @inlined_part
 def note_holding(space: Workspace, slot: int, at: Moment) -> None:
-    """Note the torques that lock rigid flanks, and their rates of change, before another piece of the load begins."""
+    """Note the torques that lock rigid flanks, and their rates of change, before another piece of the load begins.
+
+    They are written to `Workspace.held`, for `take_margins_of_load`.
+    """
     for lash in range(at.system.lash_count * at.system.impulsive):
         space.held[lash, 0], _, space.held[lash, 1], _ = holding_torque(at, space.runs[slot].regime, lash)
 
@@ -106,42 +120,45 @@ def note_holding(space: Workspace, slot: int, at: Moment) -> None:
 def take_margins_of_load(space: Workspace, slot: int, at: Moment) -> None:
     """Take the margins of rigid flanks in contact where another piece of the load has begun.
 
-    There the torque that locks them may jump or bend, and be least: a miss that no step sees.
+    The torque that locks them may jump or bend at that time and so be least there: a near miss that no step sees.
     """
     system, regime = at.system, space.runs[slot].regime
     for lash in range(system.lash_count * system.impulsive):
-        side, own = system.contacts[regime, lash].side, space.of_lashes[slot, lash]
+        side, lash_fields = system.contacts[regime, lash].side, space.of_lashes[slot, lash]
         before, slope = side * space.held[lash, 0], side * space.held[lash, 1]
         after, _, slope_after, _ = holding_torque(at, regime, lash)
-        jump, rounding = side * after - before, GRAZING * own[rows.SCALE]
+        jump, rounding = side * after - before, GRAZING * lash_fields[rows.SCALE]
         falls = slope < 0.0 or jump < -rounding
         rises = side * slope_after > 0.0 or jump > rounding
-        least = min(before, side * after) / own[rows.SCALE]
+        least = min(before, side * after) / lash_fields[rows.SCALE]
         if falls and rises and least >= 0.0:
-            _take(own, least)
+            _take(lash_fields, least)
 
 
 @inlined_part
 def label_hangs_on_depth(space: Workspace, slot: int, n: int) -> bool:
-    """Whether a label hangs on how deep the guard goes that ended a run's phase."""
+    """Whether a label hangs on how deep guard `n`, which ended a run's phase, would go."""
     system, row = system_of(space, slot), space.runs[slot]
     guard, lash = system.guards[row.regime, n], lash_of(system, row.regime, n)
     course, now = space.courses[slot, lash], row.time + space.fields[slot, rows.ELAPSED]
     if guard.event_kind == TOUCH:
         return is_primary(guard.side, course.last_side, course.from_sticking != 0)
-    if guard.event_kind == OPENING:  # by force: it counts after a contact that held
+    if guard.event_kind == OPENING:  # separation by force: it counts after sticking
         return course.from_sticking != 0
     return guard.event_kind == SEPARATION and now - course.contact_began > system.sticking_time[lash]
 
 
 @inlined_part
 def take_margin_of_guard(space: Workspace, slot: int, guard: int, turn: float, deep: bool) -> None:
-    """Take what a search found: the lowest turn of a guard of a run, or how deep the guard of its event would go."""
+    """Take the margin that a search has found for a guard of a run, and flag the run if the guard grazes zero.
+
+    turn : the guard's lowest turning point; if `deep`, the lowest value to which the guard of an event would go
+    """
     run = space.runs[slot]
-    own = space.of_lashes[slot, lash_of(space.system, run.regime, guard)]
-    scale = own[rows.SCALE]
-    if abs(turn) < abs(own[rows.MARGIN]) * scale:
+    lash_fields = space.of_lashes[slot, lash_of(space.system, run.regime, guard)]
+    scale = lash_fields[rows.SCALE]
+    if abs(turn) < abs(lash_fields[rows.MARGIN]) * scale:
         margin = (min(turn, 0.0) if deep else max(turn, 0.0)) / scale
-        own[rows.MARGIN] = margin
+        lash_fields[rows.MARGIN] = margin
         if not deep and margin <= GRAZING:
             run.quality |= QUALITY_GRAZING

@@ -1,4 +1,4 @@
-"""Moving along the modes: into the coordinates of a flow, over spans and parts of the shortest, and back to states."""
+"""From states to the coordinates of a flow, over spans and parts of the shortest span in these, and back to states."""
 
 from clunk.core.arrays import FloatArray
 from clunk.core.exact import functionals, rows
@@ -12,7 +12,10 @@ from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 
 @inlined_part
 def to_coordinates(space: Workspace, flow: int) -> None:
-    """From the states of the runs taken to their coordinates in a flow."""
+    """Replace the states of the runs taken, at the beginning of a phase, by their coordinates in its flow.
+
+    Both lie in the first rows of `Pool.work`.
+    """
     origins, coordinates = space.flows.origin, space.flows.coordinates
     if space.mixed:
         count = coordinates[0, 0].size
@@ -37,7 +40,10 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
 
 @inlined_part
 def to_states(space: Workspace, flow: int, mask: int) -> None:
-    """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
+    """Write the states of the runs taken to `Workspace.state`, for the lanes in a mask.
+
+    They follow from the coordinates in a flow and the time ELAPSED.
+    """
     flows = space.flows
     if space.mixed:
         count, origins = flows.basis[0, 0].size, flows.origin[0, 0].size
@@ -51,7 +57,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 
 @part
 def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
-    """The states of the runs taken, into `space.moved`."""
+    """Write the states of the runs taken, in all lanes, to `Workspace.moved`."""
     work, size, elapsed = space.pool.work, space.behind, field(space, rows.ELAPSED)
     order = space.system.input_count * size
     for n in range(space.flows.coordinates.shape[2]):
@@ -64,7 +70,11 @@ def _to_states(space: Workspace, origins: Table, basis: Table) -> None:
 
 @inlined_part
 def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> None:
-    """Move each of the items taken by the span of the ladder with number k, or if `short` by a part of the shortest."""
+    """Move the coordinates of each item taken over a span or, if `short`, over a part of the shortest span.
+
+    k : number of each lane's span on the ladder; unused if `short`
+    part : share of the shortest span; only used if `short`
+    """
     size, flows, table, places = space.behind, space.flows, space.flows.propagator, space.pool.places
     if short and not flows.modal[0, flow]:
         functionals.gather(space, flows.generator, flow, size * size, space.lane_table)
@@ -81,7 +91,7 @@ def move(space: Workspace, flow: int, short: bool, k: Vector, part: Vector) -> N
 
 @inlined_part
 def measure(work: FloatArray, size: int, amplitudes: FloatArray) -> None:
-    """The amplitudes of the pairs, (C/2, WIDTH)."""
+    """Write the amplitude sqrt(a² + b²) of each pair of coordinates to `amplitudes`, (C/2, WIDTH)."""
     for begin in range(0, size, ROW):
         for k in range(PAIRS):
             one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + PAIRS)
@@ -90,10 +100,12 @@ def measure(work: FloatArray, size: int, amplitudes: FloatArray) -> None:
 
 @inlined_part
 def move_modes(shares: FloatArray, short: bool, part: Vector, work: FloatArray, size: int) -> None:
-    """Move modes by a span; or if `short` by a part of the shortest, by the Taylor series of the exponential.
+    """Move modal coordinates over a span by its propagator or, if `short`, over a part of the shortest span.
+
+    That part is taken by the Taylor series of the exponential.
 
     shares : (2C, WIDTH) float64
-        The span's row of `propagator`, of each lane; or the last one.
+        Each lane's row of `Flows.propagator`: its span's or, if `short`, the last one, which has the generator.
     """
     for begin in range(0, size, ROW):
         for k in range(PAIRS):
@@ -117,10 +129,10 @@ def move_modes(shares: FloatArray, short: bool, part: Vector, work: FloatArray, 
 
 @inlined_part
 def move_together(generator: FloatArray, part: Vector, work: FloatArray, size: int, moved: FloatArray) -> None:
-    """Move coordinates that are no modes by a part of the shortest span.
+    """Move coordinates that are no modes over a part of the shortest span, by the Taylor series of the exponential.
 
     generator : (C², WIDTH) float64
-        Of each lane.
+        `Flows.generator` of each lane.
     moved : (2C or more, WIDTH) float64
         Scratch.
     """

@@ -1,47 +1,50 @@
-"""Where each number of a run, or of a search, lies in its row of `Workspace.numbers`, or of `Workspace.searches`.
+"""Positions of the numbers of a run in its row of `Workspace.numbers`, and of a search in that of `Workspace.searches`.
 
-A row begins with the coordinates in the run's flow, or with its state until the next step has made these of it; places
-are counted from `Workspace.behind`, where these end. In the lanes of `Pool.work` they are rows.
+A row begins with the run's coordinates in its flow; from the beginning of a phase to the first step it holds the state
+there instead. Positions are counted from the end of these, `Workspace.behind`. In `Pool.work`, whose columns are lanes,
+a position is a row.
 """
 
 from clunk.core.jit import inlined_part
 
 # A run's numbers that steps change, and LIMIT and KINK, which they do not.
-ELAPSED = 0  # s, in the phase
-ZERO_GUARD, ZERO_ORDER = 1, 2  # which guard is zero, and how many of its derivatives are, itself included; or none
-TRY = 3  # s, the longest span that is proposed next
+ELAPSED = 0  # s, since the phase began
+# The guard that is zero as the phase begins, or -1, and how many of its derivatives are zero there, itself included: 0
+# once a step has been taken.
+ZERO_GUARD, ZERO_ORDER = 1, 2
+TRY = 3  # s, the longest span that may be proposed next
 LIMIT = 4  # s, from the phase's beginning to the end of the run, or of the load's piece
 KINK = 5  # 1 while another piece of the load is still to come, else 0
 _FIRST = 6
-# Then those of each lash, see `of_lash`.
-WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact, as in `runs.Log`
-# A step writes back all up to the last lash's window, and leaves alone what lies behind it. It reads 8 numbers at a
-# time: four inertias with one lash, under a load without a wave, have no more than 32.
+# Then the numbers of each lash, counted from `of_lash`.
+WINDOW_MAX, WINDOW_MIN = 0, 1  # rad/s2, extremes of the acceleration since the last primary impact, as in `runs.Log`
+# A step writes back the numbers up to the last lash's window, and does not change those behind it. It reads 8 numbers
+# of a row at a time: four inertias with one lash, under a load without a wave, have no more than 32.
 MARGIN = 2
-HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the sticking time
-SIDE = 4  # by which the guards' signs are those of the group's first regime: 1 or -1
-SCALE = 5  # of the guards' margins
+HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the sticking time; -inf without contact
+SIDE = 4  # 1 or -1, times which the guards of the group's first regime have this regime's signs
+SCALE = 5  # rad or N m, of which the margins of the lash's guards are shares
 _OF_LASH = 6
-# Behind the last lash's: the SHIFT of each guard, see `shift`; and the regime's inputs, when the phase or the load's
-# piece began.
+# Behind the numbers of the last lash: the shift of each guard, see `shift`; and the inputs u of the regime as the phase,
+# or the load's piece, began.
 
-# A search's numbers, those that change first.
-TIME_LEFT = 0  # s
-PHASE_TIME = 1  # s since the phase began
-TOP, BOTTOM = 2, 3  # a turn is looked for that is higher or lower, and becomes that: the extremes so far
-BY_SIGN, BY_SHIFT = 4, 5  # what makes a guard of the functional
-COUNTS = 6  # s: a turn counts while TIME_LEFT is at most this
-UNTIL = 7  # the search ends below that, and with the first turn; -inf: it goes on until no time is left
-OF_A_SEARCH = 8  # and then the regime's inputs, as in the run's row
-# A run's searches, in this order: of the extremes of each lash's acceleration; of the lowest turn of each guard; of how
-# deep the guard of an event would go.
+# The numbers of a search: first those that change while it goes on.
+TIME_LEFT = 0  # s, still to be searched
+PHASE_TIME = 1  # s, since the phase began
+TOP, BOTTOM = 2, 3  # the extremes so far: a turn above TOP or below BOTTOM is looked for, and takes its place
+BY_SIGN, BY_SHIFT = 4, 5  # sign and shift that make a guard of the functional
+COUNTS = 6  # s: a turn counts only where TIME_LEFT is at most this
+UNTIL = 7  # the search ends where the guard is no larger, or at its first turn; -inf: only when no time is left
+OF_A_SEARCH = 8  # how many these are; behind them lie the inputs u of the regime, as in the run's row
+# The searches of a run are numbered in this order: the extremes of each lash's acceleration; the lowest turn of each
+# guard; how deep the guard of an event would go.
 
 # How a step ended.
-GOES_ON = 0  # the next one is of a span
-NEARS = 1  # the next one is of a part of the shortest span: a guard is near zero
-AT_END = 2  # of the run, or of the load's piece
-SETTLED = 3  # it is proved that nothing follows
-LOST = 4  # nothing is finite any more
+GOES_ON = 0  # the next step takes a span
+NEARS = 1  # the next step takes a part of the shortest span: a guard is near zero, or the flow has no modes
+AT_END = 2  # the run, or the load's piece, is over
+SETTLED = 3  # it is proved that nothing follows: no event, and no extreme or margin that counts
+LOST = 4  # a guard is no longer finite
 BY_EVENT = 5  # a guard turned negative: RUN's `guard`
 
 
@@ -53,5 +56,5 @@ def of_lash(lash: int) -> int:
 
 @inlined_part
 def shift(guard: int, lashes: int) -> int:
-    """Place of a guard's SHIFT."""
+    """Position of the shift of a guard."""
     return of_lash(lashes) + guard

@@ -1,8 +1,10 @@
-"""Search within a step: extremes of the acceleration, the lowest turn of a guard, how deep an event's guard would go.
+"""Searches for turning points: extremes of the acceleration, lowest turns of guards, and depths of events' guards.
 
-All are turning points, of a functional of sign and shift: the highest above TOP and the lowest below BOTTOM. Located,
-not sampled: a span is passed in which there can be none, since the functional is monotone, or cannot exceed what is
-known. Elsewhere the shortest span is expanded into its Taylor series and searched.
+Extremes and lowest turns are searched within a step; how deep the guard of an event would go, from the event on. A
+search finds the highest turning point above TOP, and the lowest below BOTTOM, of sign · functional + shift. Turning
+points are located, not sampled: a span is passed over only if none in it can count, because the function is monotone
+over the span, or cannot exceed the extremes known so far, or because the span ends before turning points count.
+Elsewhere the function is expanded into its Taylor series over the shortest span, and the series is searched.
 """
 
 from typing import NamedTuple
@@ -17,25 +19,27 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import Vector
 
-_NARROWEST = 2.0**-16  # of the shortest span: two turns within that differ by less than rounding
-_AT_ONCE = 4  # spans of a search are taken: fewer are put back, and few of the searches are through long before others
+_NARROWEST = 2.0**-16  # of the shortest span: the values of two turns as near as that differ by less than rounding
+# Spans taken per call: with fewer, searches are put back into the queue too often; with more, the lanes of finished
+# searches idle while others go on.
+_AT_ONCE = 4
 
 
 class _Known(NamedTuple):
-    """A functional where a search is, and what is known of what is searched for."""
+    """The function of each search at the time that the search has reached, and the extremes known so far."""
 
     curve: curves.Curve  # sign times the functional plus shift
     top: Vector
     bottom: Vector
-    idle: Vector  # the time left before a turn counts
-    once: int  # the lanes that end with the first turn
+    idle: Vector  # s, until a turn counts
+    once: int  # the lanes whose search ends with the first turn
 
 
 @part
 def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
-    """Take one span of the `count` searches that have been taken from a queue; those that are through tell their runs.
+    """Advance the `count` searches taken from a queue by up to `_AT_ONCE` spans; finished ones report to their runs.
 
-    flow, f : the flow, and the functional searched in
+    flow, f : the flow and the functional of all these searches
     """
     modal, shortest = space.flows.modal[0, flow] != 0, shortest_span(space, flow)
     present, until, done = (1 << count) - 1, field(space, rows.UNTIL), 0
@@ -54,8 +58,8 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
         near &= present & ~done
         if near:
             functionals.expand(space, flow, f, sign, shift, origin)
-            top, bottom, through = _search_series(space, known, shortest, time_left, near)
-            done |= through
+            top, bottom, finished = _search_series(space, known, shortest, time_left, near)
+            done |= finished
             set_field(space, rows.TOP, top)
             set_field(space, rows.BOTTOM, bottom)
         done |= (time_left <= h) & present
@@ -73,13 +77,13 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
         item = space.pool.items[lane]
         slot, number = item // space.searches_each, item % space.searches_each
         run = space.runs[slot]
-        found = space.pool.work[space.behind :, lane]
+        numbers = space.pool.work[space.behind :, lane]
         if number < lashes:
-            own = space.of_lashes[slot, number]
-            own[rows.WINDOW_MAX], own[rows.WINDOW_MIN] = found[rows.TOP], found[rows.BOTTOM]
+            lash_fields = space.of_lashes[slot, number]
+            lash_fields[rows.WINDOW_MAX], lash_fields[rows.WINDOW_MIN] = numbers[rows.TOP], numbers[rows.BOTTOM]
         else:
             deep = number == space.searches_each - 1
-            take_margin_of_guard(space, slot, run.guard if deep else number - lashes, found[rows.BOTTOM], deep)
+            take_margin_of_guard(space, slot, run.guard if deep else number - lashes, numbers[rows.BOTTOM], deep)
         run.searches -= 1
         if not run.searches:
             push(space.pool, space.queues.follow, slot)
@@ -87,13 +91,13 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
 
 @part
 def _longest_empty(known: _Known, shortest: Vector, spans: int) -> tuple[Vector, Vector, int]:
-    """The longest span of the ladder with nothing to be found, its number, and the lanes where there is none.
+    """The longest span of the ladder in which no turn can count, its number, and the lanes without such a span.
 
-    Of no spans, without modes, it is the shortest one.
+    spans : length of the ladder; 0 for a flow without modes, of which only the shortest span is tried
     """
     h, k, rungs = shortest, vectors.splat(0.0), spans // 2
     near = ~_is_empty(known, h)
-    while rungs > 0:  # two an octave
+    while rungs > 0:  # bisection of the ladder, which has two spans an octave
         longer = h * (float(1 << rungs // 2) if rungs > 1 else 1.5)
         passes = _is_empty(known, longer) & ~near
         h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + float(rungs), k)
@@ -103,9 +107,10 @@ def _longest_empty(known: _Known, shortest: Vector, spans: int) -> tuple[Vector,
 
 @part
 def _is_empty(known: _Known, h: Vector) -> int:
-    """Lanes where there is nothing to be found within times h; then there is nothing within shorter ones."""
+    """Lanes where no turn can count within a time h; then none can within a shorter time either."""
     value, slope, curvature, third, _ = known.curve
-    off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (third * curves.A_SIXTH))  # over h
+    # bound of the distance from the tangent, over h
+    off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (third * curves.A_SIXTH))
     against = vectors.choose(slope > 0.0, -curvature, curvature)
     monotone = h * (against + h * (0.5 * third)) < vectors.magnitude(slope)
     within = value - known.top + h * (vectors.larger(slope, 0.0) + off_tangent) <= 0.0
@@ -117,21 +122,23 @@ def _is_empty(known: _Known, h: Vector) -> int:
 def _search_series(
     space: Workspace, known: _Known, shortest: Vector, time_left: Vector, near: int
 ) -> tuple[Vector, Vector, int]:
-    """Search the shortest span, whose series is `space.series`, in some lanes.
+    """Search the shortest span, over which `Workspace.series` is the series of the function.
+
+    near : the lanes to search
 
     Returns
     -------
     top, bottom : Vector
-        What is known now.
+        The extremes known now.
     done : int
-        The lanes that end with the first turn, and have found it.
+        The lanes whose search ends with the first turn, and has come to it, or to where the function does not fall.
     """
     c, top, bottom = space.series, known.top, known.bottom
     left = vectors.smaller(time_left / shortest, 1.0)
     done = near & known.once & ~(vectors.load(c, 1) < 0.0)
     near &= ~done
     begin, width = 0.0 * left, left
-    while near:  # several times only where the series may turn more than once
+    while near:  # more than one round only where the series may turn more than once
         falls = vectors.load(c, 1) < 0.0
         turns, straight, s = taylor.turning(c, space.moved, width)
         value, _, _ = taylor.derivatives(c, s)

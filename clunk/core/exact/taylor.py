@@ -1,4 +1,7 @@
-"""Taylor series over the shortest span, side by side: their zeros and turning points."""
+"""Taylor series of functionals over the shortest span, one in each lane: their zeros and turning points.
+
+The variable s of a series is time as a share of the shortest span, from 0 to 1.
+"""
 
 from clunk.core.arrays import FloatArray
 from clunk.core.exact.curves import A_SIXTH, Origin
@@ -7,7 +10,7 @@ from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import Table, Vector, fused
 
-_HALVINGS = 40  # of a part: what is not known then is a zero at its beginning
+_HALVINGS = 40  # of a part, at most; a zero that is neither proved nor excluded then is taken to be at the beginning
 
 
 @part
@@ -21,9 +24,9 @@ def expand(
     origin: Origin,
     c: FloatArray,
 ) -> Vector:
-    """The Taylor coefficients over the shortest span of sign times a functional plus shift.
+    """Set `c` to the Taylor coefficients of sign · functional + shift over the shortest span.
 
-    Returns the sum of the magnitudes of the terms of the first.
+    Returns the sum of the magnitudes of the terms that add up to c[0], which its rounding is relative to.
 
     shortest : the span  [s]
     c : (TERMS, WIDTH) float64
@@ -63,7 +66,7 @@ def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
 
 @part
 def shift(c: FloatArray, by: Vector) -> None:
-    """Expand a series about another place."""
+    """Expand a series about s = `by` instead of 0, in place."""
     for k in range(TERMS - 1):
         for j in range(TERMS - 2, k - 1, -1):
             vectors.store(c, j, fused(by, vectors.load(c, j + 1), vectors.load(c, j)))
@@ -71,18 +74,19 @@ def shift(c: FloatArray, by: Vector) -> None:
 
 @part
 def first_zero(c: FloatArray, near: int, part: Vector) -> tuple[int, Vector, Vector, Vector, Vector]:
-    """First zeros of series within a part of the shortest span, halved until it is known whether there are any.
+    """First zeros of series within a part of the shortest span, which is halved until it is known whether it has one.
 
-    near : the lanes that are concerned
+    near : the lanes to look at
 
     Returns
     -------
     crosses : int
-        The lanes where a series turns negative, or is so at the beginning.
+        The lanes where a series turns negative, or is negative at the beginning, or where after _HALVINGS it is still
+        not known; these have s = 0.
     s, slope, half : Vector
         The zero, the slope there, and half the curvature.
     part : Vector
-        Within which the others stay positive.
+        The part within which the series of the other lanes stay positive.
     """
     for _ in range(_HALVINGS):
         crosses, positive, s, slope, half = crossing(c, part, False)
@@ -95,22 +99,22 @@ def first_zero(c: FloatArray, near: int, part: Vector) -> tuple[int, Vector, Vec
 
 @part
 def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vector, Vector, Vector]:
-    """The first zero of a series where it falls, or is concave, all the way to it; the beginning of a negative one.
+    """First zero of a series that falls, or is concave, all the way to it; the beginning of a series negative there.
 
-    length : at most 1
-    only : whether it is to fall, or be concave, all the length, so that there is no other zero
+    length : how far to look, at most 1
+    only : whether the series has to fall, or be concave, over all the length, so that it has no other zero
 
     Returns
     -------
     crosses : int
-        The lanes where such a zero is.
+        The lanes that have such a zero, or a negative beginning.
     positive : int
-        The lanes where the series is nowhere negative.
+        The lanes where the series is proved to be nowhere negative within the length.
     s, slope, half : Vector
         The zero, the slope there, and half the curvature.
     """
     c0, c1, c2 = vectors.load(c, 0), vectors.load(c, 1), vectors.load(c, 2)
-    # of its first three terms
+    # first guess: the zero of the first three terms; then Halley's method
     root, negative = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, 0.0)), c0 < 0.0
     s = vectors.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
     s, slope, half, crosses = vectors.choose(negative, 0.0, s), c1, c2, 0
@@ -123,7 +127,7 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
         moved = s - value * slope_here / (slope_here * slope_here - value * half_here)
         s = vectors.choose(alive, moved, s)
         slope, half = vectors.choose(alive, slope_here, slope), vectors.choose(alive, half_here, half)
-        # what is left of the error is the square of how much the slope changed in this step, as a share of the step
+        # the error that is left, as a share of this step, is about the square of the slope's relative change over it
         steady = vectors.magnitude(value * half_here) <= 2e-5 * (slope_here * slope_here)
         steady &= vectors.magnitude(value) <= 2e-5 * vectors.magnitude(slope_here)
         converged = alive & steady & (s >= 0.0) & (s <= length)
@@ -145,7 +149,7 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
 
 @part
 def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int, Vector]:
-    """The turning point of a series that has but one.
+    """The turning point of a series that has only one within a length.
 
     c : (TERMS + 1, WIDTH) float64, zero in the last row
     slopes : (TERMS, WIDTH) float64
@@ -154,10 +158,11 @@ def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int
     Returns
     -------
     turns : int
-        The lanes where such a turning point is.
+        The lanes that have such a turning point.
     straight : int
-        The lanes where the series has none.
+        The lanes where the series is proved to have no turning point.
     s : Vector
+        Where it is.
     """
     falls = vectors.load(c, 1) < 0.0
     for k in range(TERMS):
