@@ -1,27 +1,28 @@
 """The exact flow of a regime, as tables: modal coordinates, and their propagators over a ladder of spans.
 
 Within a regime x(t) = origin(t) + basis y(t), where origin is a particular solution of x' = A x + B u, constant unless
-the flow can drift or the torque ramps, and y' = Λ y. The wave of a load that has one is the last pair of y. Λ is real
-and made of 2 x 2 blocks: [[σ, ω], [-ω, σ]] for a complex pair of eigenvalues, diagonal for two real ones, and
-[[0, ω], [0, σ]] for a displacement without stiffness and its velocity, σ = 0 without damping either: their difference,
-were they modes, would be one of large numbers where σ is small. Of a pair nothing but such a displacement ever grows,
-and on that no derivative depends. So a functional's nth derivative stays within the sum of |c Λⁿ| times the amplitudes
-at any earlier time.
+the flow can drift or the torque ramps, and y' = Λ y. If the load has a wave, it is the last pair of y. Λ is real and
+made of 2 x 2 blocks: [[σ, ω], [-ω, σ]] for a complex pair of eigenvalues, diagonal for two real ones, and
+[[0, ω], [0, σ]] for a displacement without stiffness and its velocity, with σ = 0 without damping. As two modes, these
+would be a difference of large numbers where σ is small. In a pair nothing but such a displacement ever grows, and no
+derivative depends on it. So the nth derivative of a functional is bounded by the sum of |c Λⁿ| of each pair times the
+pair's amplitude at any earlier time.
 
-The angle that a driveline rolls by, if nothing holds it, moves no functional. It is kept in units so large that it adds
-nothing to an amplitude. In the states that these tables are for, it and its speed stand apart, at the first inertia
-that rolls, see `regimes.rolling_apart`: the other angles and speeds are less their share of these, so that they have
-their digits however far and fast it rolls.
+The angle by which a driveline rolls, if nothing holds it, moves no functional. It is kept in units so large that it
+adds nothing to an amplitude. In the states that these tables are for, this angle and its speed stand apart, in the
+places of the first inertia that rolls, see `regimes.rolling_apart`. The share that the other inertias have in them is
+subtracted from their angles and speeds, which so keep their digits however far and fast the driveline rolls.
 
-Real modes are paired in the order of their rates. As a pair's amplitudes and the rates that they are bounded with are
-taken together, one that is much faster has a pair alone: it would keep spans short for as long as the other lasts.
+Real modes are paired in the order of their rates. The bounds take the amplitude of a pair together with the rates of
+both of its members, so that a mode much faster than its partner would keep spans short for as long as the partner
+lasts. Such a mode has a pair alone.
 
-Four pairs of coordinates lie together: first the one member of each, then the other, as [a0 a1 a2 a3 b0 b1 b2 b3].
+Coordinates are stored four pairs at a time, the first members before the second ones: [a0 a1 a2 a3 b0 b1 b2 b3].
 
-A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
-the energy; that never grows either. It can take the shortest span only, by its Taylor series. So does a flow with a
-mode in resonance with the wave, or with a drift under one that is slower than the run, of which |y| grows, but by no
-more than _GROWTH over that span.
+A flow without a well-conditioned eigenbasis (at critical damping, for example) keeps coordinates in which |y|² is twice
+the energy, which never grows either. It can take the shortest span only, by its Taylor series. So does a flow with a
+mode in resonance with the wave, or with a drift under a wave that is slower than the run. In these |y| grows, but by no
+more than a factor of _GROWTH over that span.
 """
 
 import math
@@ -40,73 +41,76 @@ from clunk.core.reductions import product
 from clunk.core.regimes import System
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
-SPANS = 32  # two an octave
-MORE_SPANS = 128  # of flows of which something is so fast that the former end long before a run does
-_FAST = 1e6  # its rate by the end time: it is over, or turns, long before
-PAIRS = ROW // 2  # that lie together: their number is filled up to a multiple
+SPANS = 32  # of the ladder, two an octave
+MORE_SPANS = 128  # of the ladder of drivelines with a rate so fast that 32 spans end long before a run does
+_FAST = 1e6  # a rate times the end time: beyond it there are MORE_SPANS
+PAIRS = ROW // 2  # pairs of coordinates stored together; the number of pairs is filled up to a multiple of it
 TERMS = 12  # of a Taylor series over the shortest span
-_OF_SERIES = 14  # terms of that of an exponential over one and a half of it
+_OF_SERIES = 14  # terms of the series of an exponential over one and a half of the shortest span
 LONG = 2 * ROW  # room for the TERMS of a Taylor series, in whole ROWs
-# where in a block of `Flows.watch` begins what multiplies coordinates: to a functional less its origin, its slope and
-# curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin and its sixth
-# derivative
+# Where in a block of `Flows.watch` factors begin. Coordinates times factors are a functional less its origin, its slope
+# and its curvature; amplitudes times factors bound, from now on, its third derivative, its value less its origin (the
+# sway) and its sixth derivative.
 VALUE, SLOPE, CURVATURE = range(0, 3 * ROW, ROW)
 WATCHED = 3 * ROW + 3 * PAIRS
 THIRD, SWAY, SIXTH = range(3 * ROW, WATCHED, PAIRS)
-_BOUNDED = (3, 0, 6)  # the orders that THIRD and what follows it bound, less than TERMS
-SELF, CROSS = range(2)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
-_SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
-_CONVERGED = 1e-14  # the last step to an eigenvalue, of its size
-_NEAR = 1e-7  # of their size: eigenvalues that two guesses have led to, which may be one
-_MOST_STEPS = 10  # to it
+_BOUNDED = (3, 0, 6)  # the orders of the derivatives that THIRD, SWAY and SIXTH bound, all less than TERMS
+SELF, CROSS = range(2)  # the factors in a 2 x 2 block of a coordinate itself, and of its partner
+_SHORTEST = 1.0 / 4.0  # |λ| times the shortest span, at most: TERMS terms are then exact to rounding
+_CONVERGED = 1e-14  # of an eigenvalue's magnitude: the largest step by which Newton's method may end
+_NEAR = 1e-7  # of their magnitude: eigenvalues this near, found from two guesses, may be the same one
+_MOST_STEPS = 10  # of Newton's method, to an eigenvalue
 _MAX_CONDITION = 4e4  # of unit eigenvectors in energy coordinates, by Frobenius norms: beyond it, four digits are lost
 _TINY = 1e-300  # instead of zero, as a divisor
-_APART = 1e-2  # of unit vectors that may make a basis
-_ROUNDING = 1e-12  # relative to the largest of its kind
+_APART = 1e-2  # the least singular value of unit vectors that may make a basis
+_ROUNDING = 1e-12  # relative size below which a number may be rounding
 # A part that turns freely with less than this share of the drag on all that rolls counts as undamped, however light or
-# heavy it is. Its speed would be measured from the one that it has at last, and of a difference of numbers that large
-# no digits are left; while it rolls, it would lose the share of the torque that its drag takes.
+# heavy it is. As a damped part, its speed would be measured from the speed that it reaches at last, a number so large
+# that no digits are left of the difference. As an undamped part that rolls, it loses the share of the torque that its
+# drag takes.
 _SMALL = 1e-8
-_TOO_SLOW = 1e-10  # likewise, where nothing is dragged as it rolls, of the softest mode's rate (1 rad/s without any)
-_RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
-_SLOW = 1.0  # a wave's rate by the end time: below it, it is as in resonance with a drift, see `_with_wave`
-_GROWTH = math.exp(_SHORTEST / 2.0)
-_FASTER = 16.0  # times as fast as all that lasts beside it: a decay that has a pair alone
-_FILLED = 3  # the first field of `Flows` that `_fill` fills: `build_flows` makes those before it of these
-_FAR = 2.0**40  # units of a displacement that nothing depends on
+# The limit where nothing is dragged as it rolls: a free part whose rate of decay is less than this share of the softest
+# mode's rate (of 1 rad/s without any) counts as undamped.
+_TOO_SLOW = 1e-10
+_RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer to the wave's is in resonance with it
+_SLOW = 1.0  # a wave's rate times the end time: a slower wave counts as in resonance with drifts, see `_with_wave`
+_GROWTH = math.exp(_SHORTEST / 2.0)  # of |y| over the shortest span, at most, without modes
+_FASTER = 16.0  # times as fast as all that it could be paired with: a decay that has a pair alone
+_FILLED = 3  # the first field of `Flows` that `_fill` fills; `build_flows` makes the earlier ones of these
+_FAR = 2.0**40  # unit of a displacement that nothing depends on
 
 
 class Flows(NamedTuple):
-    """The tables of D drivelines, each with that axis in front.
+    """Tables of the flows of D drivelines; each has an axis of D in front of the shape given here.
 
     K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8, SPANS or MORE_SPANS.
     """
 
-    # over a span: each coordinate's SELF and CROSS share; in the last row those of a generator of modes
+    # the SELF and CROSS factors of each coordinate over each span; in the last row those in `generator`, if modal
     propagator: FloatArray  # (K, SPANS + 1, B, 2, 8)
     watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> THIRD to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     # the particular solution and its first three derivatives at t = 0, per input; rolling apart, as in `basis`
     origin: FloatArray  # (K, 4, I, C)
-    origin_output: FloatArray  # (K, 4, F, I)  the functionals of it
+    origin_output: FloatArray  # (K, 4, F, I)  the functionals of `origin`, feedthrough included
     coordinates: FloatArray  # (K, N, C)  x - origin -> y
-    basis: FloatArray  # (K, C, C)  y -> x - origin, filled up; the angles of x less the rolling, which stands apart
+    basis: FloatArray  # (K, C, C)  y -> x - origin, filled up with zeros; the rolling of x stands apart
     span: FloatArray  # (K, SPANS)  [s]
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
     modal: IntArray  # (K,)  whether the coordinates are modes
-    steady: IntArray  # (K,)  whether the functionals of the origin do not move under a constant torque
+    steady: IntArray  # (K,)  whether the functionals of `origin` are constant under a constant torque
 
 
 class Chain(NamedTuple):
-    """A chain M θ'' + C θ' + K θ = … in m angles without constraint, and how they lie in the n of the driveline.
+    """A chain M θ'' + C θ' + K θ = … in m angles without constraint, and how the n of the driveline follow from these.
 
-    Or those of D drivelines: all arrays then have an axis more in front, the inertias always.
+    Or the chains of D drivelines: all arrays then have an axis of D in front; `inertia` always has it.
 
     inertia : (D, m) float64, the diagonal of M
     damping, stiffness : (m, m) float64
     expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift (s φ/2), and back
     shift : (2n, L + M) float64, for the s φ/2 of each lash and the twist of each friction that sticks
-    rigid : (m, k) float64, of a driveline that rolls all motions that twist no spring, each of other angles; else none
+    rigid : (m, k) float64, all motions that twist no spring, no two of the same angle; k = 0 if the driveline is held
     """
 
     inertia: FloatArray
@@ -121,13 +125,15 @@ class Chain(NamedTuple):
 def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     """Tables of each flow of a driveline, or of a batch.
 
-    The bits of a driveline do not depend on its batch, which has one `modal` and one `steady` for each flow: raises
-    UnlikeError where drivelines differ in more than numbers.
+    The tables of a driveline have the same bits in any batch. A batch has one `modal` and one `steady` for each flow:
+    raises UnlikeError where drivelines differ in more than numbers.
 
     system : of a batch, if only of one driveline; without the states of a ramp
+    chains : of each flow
+    held : the inputs that are the columns of `Chain.shift`
     """
     (*many, count, driven), states = system.feedthrough.shape, system.rates.shape[-1]
-    # before anything else: it is by these that drivelines differ in more than numbers, if they do
+    # before anything else: drivelines that differ in more than numbers differ in the structure of their groups
     kinds = [(chain.rigid.shape, _held_motions(chain)) for chain in chains]
     groups = [
         group for kind in set(kinds) for group in _groups(chains, np.flatnonzero([each == kind for each in kinds]))
@@ -150,7 +156,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
         (spans,),
         (size, size),
     )
-    # In one piece, for which there are larger pages: a sweep of such drivelines takes 3 % less time.
+    # All tables are in one piece, for which there are larger pages: a sweep of drivelines takes 3 % less time.
     ends = np.cumsum([math.prod((*many, *shape)) for shape in shapes])
     pieces = np.split(aligned(ends[-1], 1).ravel(), ends[:-1])
     floats = [piece.reshape(*many, *shape) for piece, shape in zip(pieces, shapes, strict=True)]
@@ -166,27 +172,28 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if system.first_rolling >= 0:
-        tables.origin[:, :, 0, :, system.first_rolling] = 0.0  # it begins with the phase
+        tables.origin[:, :, 0, :, system.first_rolling] = 0.0  # the angle rolled by is 0 as a phase begins
     return tables
 
 
 class _Scaled(NamedTuple):
-    """A chain in energy coordinates: the undamped modes' ω times their displacements, and their velocities.
+    """A chain in energy coordinates: the undamped modes' displacements times their ω, and their velocities.
 
-    A mode without stiffness takes the softest other one's ω, to scale only.
+    The displacement of a mode without stiffness is scaled by the ω of the softest mode that has stiffness.
     """
 
     into: FloatArray  # (D, 2m, 2m)  (θ, θ') -> z
     back: FloatArray
     generator: FloatArray  # z' = generator z
-    drift: npt.NDArray[np.bool_]  # (2m,)  displacements that nothing depends on, and velocities that only they do
+    # (2m,)  displacements that nothing depends on, and velocities that only such displacements depend on
+    drift: npt.NDArray[np.bool_]
 
 
 class _Modes(NamedTuple):
     """Real eigenbases of a chain, their inverses, and the generators in them, (D, 2m, 2m).
 
-    slots : (2m,) int64, ascending, where each coordinate comes: in 2p and 2p + 1 those of a pair, and where one is
-        empty, the other's decay is much faster than all that it could be bounded with
+    slots : (2m,) int64, ascending, the place of each coordinate: 2p and 2p + 1 make a pair. Where one of these is
+        empty, the other is a decay much faster than all that it could be paired with
     """
 
     basis: FloatArray
@@ -196,9 +203,9 @@ class _Modes(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Flows of the same structure, G of them, in each of D drivelines: the numbers of all D G are made together.
+    """G flows of the same structure in each of D drivelines, whose tables are made together.
 
-    Chains and what is made of them have an axis of D G in front, the flows of a driveline behind one another.
+    The chain, and what is made of it, has an axis of D G in front, in which the flows of a driveline are neighbours.
     """
 
     flows: IntArray  # (G,)
@@ -208,7 +215,10 @@ class _Group(NamedTuple):
 
 
 def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
-    """Groups of some flows, whose chains have arrays of the same shapes. Raises UnlikeError as `build_flows` does."""
+    """Groups of the same structure among flows whose chains have arrays of the same shapes.
+
+    Raises UnlikeError where the drivelines of a single flow differ in structure.
+    """
     inertias, *others = zip(*(chains[k] for k in flows), strict=True)
     inertia, *matrices = (_in_rows(each, len(inertias[0])) for each in ([each[:, None] for each in inertias], *others))
     chain = Chain(inertia[:, 0], *matrices)
@@ -219,7 +229,7 @@ def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
         if flows.size == 1:
             raise
         first = np.unique(unlike.parts[0] % flows.size)
-        first = first if first.size < flows.size else first[::2]  # drivelines differ, in some flow or in all
+        first = first if first.size < flows.size else first[::2]  # all: drivelines differ, in some flow or in all
         yield from _groups(chains, flows[first])
         yield from _groups(chains, np.delete(flows, first))
     else:
@@ -227,25 +237,31 @@ def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
 
 
 def _held_motions(chain: Chain) -> int:
-    """About how many motions springs hold in a flow of one driveline: those that hold as many are likely alike."""
+    """Estimate of how many motions springs hold in a flow of the first driveline.
+
+    Flows with the same number are likely of the same structure.
+    """
     stiffness = chain.stiffness
     return int(np.linalg.matrix_rank(stiffness[(0,) * (stiffness.ndim - 2)], hermitian=True))
 
 
 def _in_rows(matrices: Sequence[FloatArray], drivelines: int) -> FloatArray:
-    """Matrices of flows, (m, n) of all drivelines or (D, m, n), behind one another for each driveline: (D G, m, n)."""
+    """Stack the matrices of G flows, (m, n) of all drivelines or (D, m, n), as `_Group` has them: (D G, m, n)."""
     stacked = np.ascontiguousarray(np.stack(matrices, axis=-3))
     count, *shape = stacked.shape[-3:]
     return np.broadcast_to(stacked, (drivelines, count, *shape)).reshape(drivelines * count, *shape)
 
 
 def _ends(slots: IntArray) -> int:
-    """The number of coordinates with these slots, whole pairs."""
+    """The number of slots up to the last of these, in whole pairs."""
     return (slots.max(initial=-1) | 1) + 1
 
 
 def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
-    """Tables of the flows of a group, and the first terms of the series; coordinates that it has fewer stay zero."""
+    """Fill the tables of the flows of a group, and the first terms of their series.
+
+    Coordinates that the tables have and the group has not stay zero.
+    """
     flows, chain, scaled, modes = group
     filled = every[_FILLED:]
     made = [np.zeros((len(chain.inertia), *table.shape[2:]), table.dtype) for table in filled]
@@ -253,7 +269,7 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     rates, inputs, functionals, feedthrough = (  # A, B, C and D
         array[:, flows].reshape(-1, *array.shape[2:]) for array in system[:4]
     )
-    unforced = chain.shift.shape[-2]  # states but for a wave's
+    unforced = chain.shift.shape[-2]  # number of states without those of a wave
     times, seen = product if chain.rigid.size else np.matmul, functionals[..., :unforced]
     into, back = times(scaled.into, chain.pick), times(chain.expand, scaled.back)
     forcing = inputs[:, :unforced].copy()
@@ -288,7 +304,7 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     tables.span[:] = shortest[:, None] * np.ldexp([[1.0, 1.5]], octaves[:, None]).ravel()
 
     states, size = tables.coordinates.shape[-2:]
-    place = halves(np.arange(size)).swapaxes(1, 2).reshape(-1)[slots]  # where the coordinates lie
+    place = halves(np.arange(size)).swapaxes(1, 2).reshape(-1)[slots]  # of the coordinates in the tables
     tables.coordinates[..., place] = into.mT
     tables.basis[:, place, :states] = back.mT
     tables.generator[:, place[:, None], place] = shortest[:, None, None] * block
@@ -301,7 +317,7 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
 
 
 def halves(rows: Any) -> Any:
-    """(…, C) as (…, B, 2, 4): the one members of four pairs, and the other."""
+    """Reshape (…, C) to (…, B, 2, 4): blocks of the first members of four pairs, and then the second members."""
     return rows.reshape(*rows.shape[:-1], -1, 2, PAIRS)
 
 
@@ -311,7 +327,7 @@ def _scale(chain: Chain) -> _Scaled:
     squared, rotated = _undamped_modes(chain.stiffness / (root * root.mT), root * chain.rigid)
     shapes = rotated / root
     free = _are_free(shapes, chain.stiffness)
-    if free.sum() > 1:  # among the free shapes those apart that are not damped either
+    if free.sum() > 1:  # separate the free shapes that are not damped either
         damped = shapes[..., free].mT @ chain.damping @ shapes[..., free]
         shapes[..., free] = shapes[..., free] @ np.linalg.eigh(damped)[1]
     across = shapes.mT
@@ -337,9 +353,10 @@ def _scale(chain: Chain) -> _Scaled:
 
 
 def _are_free(shapes: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
-    """Mask of shapes that twist no spring, or no damper, of a matrix: terms cancel, however light the lightest part is.
+    """Mask of shapes that twist no spring, or no damper, of a matrix: the quadratic form of such a shape is rounding.
 
-    Or there are none but for the rounding of the shapes, whose square is tiny.
+    Either its terms cancel, however light the lightest part is; or the shape has no terms but those of its rounding,
+    which are tiny beside the terms of other shapes.
     """
     terms = np.sum(abs(shapes) * (abs(matrix) @ abs(shapes)), axis=-2)
     bound = np.maximum(terms, _ROUNDING * terms.max(axis=-1, initial=0.0, keepdims=True))
@@ -347,7 +364,10 @@ def _are_free(shapes: FloatArray, matrix: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues, increasing, and eigenvectors of symmetric matrices, of which some at zero are known to rounding."""
+    """Eigenvalues, increasing, and eigenvectors of symmetric matrices with known null vectors.
+
+    rigid : (D, m, 0 or more) float64, these null vectors, orthogonal to each other
+    """
     motions = rigid.shape[-1]
     if not motions:
         return np.linalg.eigh(stiffness)
@@ -359,9 +379,10 @@ def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArra
 
 
 def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
-    """p0 to p3 with p0 + p1 t + p2 t²/2 + p3 t³/6 a solution of z' = generator z + forcing: (D, 4, 2m, inputs).
+    """Coefficients p0 to p3 of a solution p0 + p1 t + p2 t²/2 + p3 t³/6 of z' = generator z + forcing, for each input.
 
-    That to the torque's rate of change is one to the torque's forcing times t.
+    The column of the torque's rate of change is the solution for the torque's forcing times t. Returns
+    (D, 4, 2m, inputs).
     """
     generator, drift = scaled.generator, scaled.drift
     particular, stays = np.zeros((4, *forcing.shape)), np.flatnonzero(~drift)
@@ -389,15 +410,16 @@ def _with_wave(
 ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
     """Coordinates, basis and generator with the wave as one pair more: y' = block y + drive w1, w' = wave w.
 
-    As a mode it moves what is steady under it along, by the real part of v (w1 + i w2), (rate - block) v = drive. Where
-    the flow has no modes, or one of them is in resonance with the wave, w is added as it is, scaled to drive no more
-    than the fastest. So it is where its rate is below `slow`, (D,)  [1/s]: as a mode it would move a drift along by the
-    drive over the square of that rate, of which the drift would take nearly all back.
+    As a mode, the wave includes the steady response to it, the real part of v (w1 + i w2) with (rate - block) v =
+    drive. Where the flow has no modes, or one of them is in resonance with the wave, w itself is the pair, scaled so
+    that its drive is no larger than the norm of `block`. So it is where the wave's rate is below `slow`, (D,)  [1/s]:
+    as a mode, the wave would include a response of a drift as large as the drive over the square of that rate, nearly
+    all of which the drift's own coordinates would cancel.
 
-    Returns the three, and whether they are modes.
+    Returns the three, and whether the coordinates are modes.
     """
     count, size = drive.shape
-    rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # of w1 + i w2
+    rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # the eigenvalue of w1 + i w2
     swings = np.sqrt(np.maximum(-block * block.mT, 0.0)).sum(axis=-1)
     away = abs(np.linalg.diagonal(block) - 1j * swings - rate).min(axis=-1, initial=np.inf)
     modal = modal and not alike((away <= _RESONANCE * abs(rate[:, 0])) | (abs(rate[:, 0]) < slow), 0)
@@ -419,7 +441,8 @@ def _with_wave(
 def _modes(scaled: _Scaled) -> _Modes | None:
     """The modes of a chain; None where they are badly conditioned.
 
-    Oscillating modes first, fastest first; then drifts, undamped and damped, then what is overdamped.
+    In this order: oscillating modes, the fastest first; undamped drifts; damped drifts, each with the slow decay that
+    moves it; the other decays, the fastest first; and the displacements of damped drifts that no slow decay moves far.
     """
     generator, drift = scaled.generator, scaled.drift
     count, size, _ = generator.shape
@@ -431,22 +454,22 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     shapes = np.empty((count, half, modes.size), complex)
     _ring(stiffness, damping, modes, eigenvalues, shapes, np.empty((half, half), complex))
     vectors = np.concatenate([frequency[..., None] * shapes, eigenvalues[:, None] * shapes], axis=1)
-    others = np.flatnonzero(np.isnan(eigenvalues).any(axis=-1))
-    if others.size:
-        own, own_vectors, more = eigenvalues[others], vectors[others], (0, stays.size - modes.size)
-        eigenvalues = np.pad(eigenvalues, ((0, 0), more), constant_values=-1j)  # what is filled up comes last
+    failed = np.flatnonzero(np.isnan(eigenvalues).any(axis=-1))  # chains that are left to LAPACK
+    if failed.size:
+        newton, newton_vectors, more = eigenvalues[failed], vectors[failed], (0, stays.size - modes.size)
+        eigenvalues = np.pad(eigenvalues, ((0, 0), more), constant_values=-1j)  # filled up with what comes last
         vectors = np.pad(vectors, ((0, 0), (0, 0), more), constant_values=1.0)
-        kept = generator[others].take(stays, axis=-1)
-        found, right = (array.astype(complex) for array in np.linalg.eig(kept.take(stays, axis=-2)))
-        # beside a rate 1e16 times as fast, a slow one is lost in rounding
-        found = np.where(found == 0.0, -np.finfo(float).eps * abs(found).max(axis=-1, keepdims=True), found)
-        of_all = np.zeros((others.size, size, stays.size), complex)
-        of_all[:, stays], of_all[:, moved] = right, kept.take(moved, axis=-2) @ right / found[:, None]
+        kept = generator[failed].take(stays, axis=-1)
+        lapack, right = (array.astype(complex) for array in np.linalg.eig(kept.take(stays, axis=-2)))
+        # beside a rate 1e16 times as fast, a slow one is rounded to zero
+        lapack = np.where(lapack == 0.0, -np.finfo(float).eps * abs(lapack).max(axis=-1, keepdims=True), lapack)
+        of_all = np.zeros((failed.size, size, stays.size), complex)
+        of_all[:, stays], of_all[:, moved] = right, kept.take(moved, axis=-2) @ right / lapack[:, None]
         for n in np.flatnonzero(drift[modes]):  # a rate of rolling is tiny, and LAPACK's rounding that of the largest
-            known = np.flatnonzero(np.isfinite(own[:, n]))
-            same = abs(found[known] - own[known, n, None]).argmin(axis=-1)
-            found[known, same], of_all[known, :, same] = own[known, n], own_vectors[known, :, n]
-        eigenvalues[others], vectors[others] = found, of_all
+            known = np.flatnonzero(np.isfinite(newton[:, n]))
+            same = abs(lapack[known] - newton[known, n, None]).argmin(axis=-1)
+            lapack[known, same], of_all[known, :, same] = newton[known, n], newton_vectors[known, :, n]
+        eigenvalues[failed], vectors[failed] = lapack, of_all
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     omega = eigenvalues.imag
     order = np.lexsort((-abs(eigenvalues), omega == 0.0, omega < 0.0))  # the conjugates are last
@@ -469,7 +492,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     damped = np.flatnonzero(drift[:half] & ~drift[half:])
     moved = _moved_far(damped, decaying)
     slow, fast = moved.size, decays - moved.size
-    far = np.zeros((count, size, slow))  # the displacement that is left to go while such a velocity decays
+    far = np.zeros((count, size, slow))  # the displacement still to go as a drift's velocity decays
     far[:, moved] = decaying[:, moved, fast:]
     near = decaying[..., fast:] - far
     lengths, speeds = np.linalg.norm(far, axis=-2), np.linalg.norm(near, axis=-2)
@@ -479,9 +502,10 @@ def _modes(scaled: _Scaled) -> _Modes | None:
     at = end + 2 * slow + np.arange(fast)
     basis[..., at], block[:, at, at] = decaying[..., :fast], rates[:, :fast]
     slots = np.arange(size)
-    partners = [*rates[:, 1:fast].T, *np.zeros((damped.size - slow, count))]  # of displacements that none moves far
+    # rates: of each decay's partner, which is the next decay, or behind the last a displacement that none moves far
+    partners = [*rates[:, 1:fast].T, *np.zeros((damped.size - slow, count))]
     for k, quick, partner in zip(at, rates[:, :fast].T, partners, strict=False):
-        # what rings keeps spans short as well, by its share of the time that the partner lasts
+        # oscillating modes keep spans short as well, for their share of the time that the partner lasts
         lasting = -partner, *(turning.T * (partner / np.minimum(sigma[:, :rings].T, partner - _TINY)))
         slots[k + 1 :] += slots[k] % 2 == 0 and alike(-quick > _FASTER * np.stack(lasting).max(axis=0), 0)
     alone = np.setdiff1d(damped, moved)
@@ -492,7 +516,7 @@ def _modes(scaled: _Scaled) -> _Modes | None:
         if count > 1:
             raise UnlikeError(np.array_split(np.arange(count), 2)) from None
         return None
-    sizes = np.linalg.norm(basis, axis=-2)  # of columns, with which nothing is lost
+    sizes = np.linalg.norm(basis, axis=-2)  # of columns: to scale by these loses no digits
     parts = basis / sizes[:, None], inverse * sizes[..., None]
     condition = math.prod(map(np.linalg.matrix_norm, parts))
     if not alike(condition <= _MAX_CONDITION, 0):
@@ -501,7 +525,10 @@ def _modes(scaled: _Scaled) -> _Modes | None:
 
 
 def _moved_far(damped: IntArray, decaying: FloatArray) -> IntArray:
-    """The damped drifts that the slowest decaying modes move, far: as many as these modes, and no fewer."""
+    """The damped drifts that the slowest decaying modes move far, one for each of these modes.
+
+    This is the largest set that these modes move independently of each other; it may be empty.
+    """
     for slow in range(min(damped.size, decaying.shape[-1]), 0, -1):
         columns = decaying[:, damped, -slow:]
         lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
@@ -515,10 +542,11 @@ def _moved_far(damped: IntArray, decaying: FloatArray) -> IntArray:
 
 @compiled
 def _propagate(generator: FloatArray, table: FloatArray) -> None:
-    """exp(generator · span) over the spans of the ladder, and the generator itself.
+    """Write exp(generator · span) over the spans of the ladder, and behind them the generator itself.
 
-    Less 1 it is doubled from span to span, as E (2 + E), from its series over the shortest: small angles keep their
-    digits, and a sine and an exponential for each span would take ten times as long.
+    E = exp(generator · span) - 1 is a series over the shortest span, and over one and a half of it; each further span
+    is twice an earlier one, and has E (2 + E). So small angles keep their digits, and a sine and an exponential for
+    each span would take ten times as long.
 
     generator : (D, K, C, C), of each pair a block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift
     table : (D, K, SPANS + 1, B, 2, 8)
@@ -536,7 +564,7 @@ def _propagate(generator: FloatArray, table: FloatArray) -> None:
             for odd in range(2):  # the spans 1, 2, 4, …, and 1.5, 3, 6, …
                 scale = 1.0 + 0.5 * odd
                 a, b, c, d = scale * rates[i, i], scale * rates[i, j], scale * rates[j, i], scale * rates[j, j]
-                own = cross = partner = 0.0  # what multiplies the coordinate, its partner, and that one itself
+                own = cross = partner = 0.0  # E of a coordinate on itself, of its partner on it, of that on itself
                 for n in range(_OF_SERIES, 0, -1):
                     back = cross * c
                     cross = ((1.0 + own) * b + cross * d) / n
@@ -551,9 +579,9 @@ def _propagate(generator: FloatArray, table: FloatArray) -> None:
 
 @compiled
 def _expand(generator: FloatArray, modal: IntArray, span: FloatArray, series: FloatArray, watch: FloatArray) -> None:
-    """The Taylor series of functionals over the shortest span, of which the first terms are given, and `Flows.watch`.
+    """Complete the Taylor series of functionals over the shortest span from their first terms, and fill `Flows.watch`.
 
-    Without modes, functionals are bounded by |y|, which is at most the sum of the amplitudes.
+    Without modes, functionals are bounded by _GROWTH times |y|, which is at most the sum of the amplitudes.
     """
     for at in np.ndindex(series.shape[:3]):  # a driveline, a flow and a functional
         terms, seen, rates, unit = series[at], watch[at], generator[at[:2]], 1.0
@@ -575,15 +603,16 @@ def _expand(generator: FloatArray, modal: IntArray, span: FloatArray, series: Fl
                     bound = np.hypot(terms[block * ROW + c, n], terms[block * ROW + c + PAIRS, n])
                     if not modal[at[:2]]:
                         bound = _GROWTH * np.sqrt(squares)
-                    # what is multiplied up, span by span, is rounded
+                    # coordinates are rounded each time that they are multiplied, span by span
                     seen[block, THIRD + k * PAIRS + c] = (1.0 + 1e-9) * unit * bound
             unit *= (n + 1) / span[at[:2]][0]
 
 
 def _first_guesses(stiffness: FloatArray, damping: FloatArray, modes: IntArray) -> tuple[IntArray, Any]:
-    """The modes that eigenvalues are of, (k,), and what these would be if no damper coupled the modes, (D, k).
+    """The mode of each eigenvalue, (k,), and the eigenvalues that there would be if no damper coupled modes, (D, k).
 
-    Those of which any is overdamped come twice, where they swing with the conjugate.
+    A mode with stiffness that is overdamped in any driveline comes twice, with both of its eigenvalues; where it
+    oscillates, these are conjugates.
     """
     half, squared = (np.linalg.diagonal(array).take(modes, 1) for array in (0.5 * damping, stiffness))
     over = half * half - squared
@@ -594,13 +623,14 @@ def _first_guesses(stiffness: FloatArray, damping: FloatArray, modes: IntArray) 
 
 @compiled
 def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: Any, shapes: Any, scratch: Any) -> None:
-    """Eigenpairs of chains in energy coordinates, by Newton's method from the modes without dampers between them.
+    """Eigenpairs of chains in energy coordinates, by Newton's method from those without dampers between the modes.
 
-    Of P(λ) x = (λ² + λ D + K) x = 0, where x is 1 in a mode's own displacement, all equations but the mode's own give
-    x; that one, s(λ) = 0, has the derivative xᵀ P'(λ) x. P is symmetric: of it is read, and eliminated, what is right
-    of the diagonal, the mode's own last. Eigenvalues are NaN that do not converge, or to one that is found already,
-    or to the conjugate of where they began: they are of modes that begin to swing, or cease to, or that dampers couple
-    closely. LAPACK takes five times as long.
+    They solve P(λ) x = (λ² + λ D + K) x = 0 with x = 1 in the displacement of the eigenvalue's mode. All equations but
+    this mode's give x; the mode's equation, s(λ) = 0, has the derivative xᵀ P'(λ) x. P is symmetric: only its diagonal
+    and what is right of that are read and eliminated, the mode last. An eigenvalue is NaN if it does not converge, or
+    converges to one that is found already, to zero, or from a complex guess to a real number or to the conjugate.
+    This happens to modes that begin to swing, or cease to, or that dampers couple closely. LAPACK takes five times as
+    long.
 
     stiffness, damping : (D, m, m) float64
     modes : (k,) int64
@@ -618,7 +648,7 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
             rate, x, sound = rates[driveline, n], shapes[driveline, :, n], False
             swing = rate.imag
             for _ in range(_MOST_STEPS):
-                for i in range(m):  # its rows and columns are those of the modes 0, 1, …, m - 1, and then the own
+                for i in range(m):  # rows and columns: the modes 0, 1, …, m - 1 without this one, and then this one
                     r = mode if i == m - 1 else i + (i >= mode)
                     for j in range(i, m):
                         c = mode if j == m - 1 else j + (j >= mode)
@@ -643,7 +673,7 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
                 sound = abs(step) <= _CONVERGED * abs(rate)
                 if sound:
                     break
-            # 0 is a displacement's own, whatever damps its velocity
+            # 0 is the eigenvalue of a displacement without stiffness, whatever damps its velocity
             sound &= (rate.imag * swing > _ROUNDING * abs(rate * swing)) == (swing != 0.0) and rate != 0.0
             for other in rates[driveline, :n]:
                 sound &= abs(rate - other) > _NEAR * abs(rate)
@@ -652,5 +682,5 @@ def _ring(stiffness: FloatArray, damping: FloatArray, modes: IntArray, rates: An
 
 @inlined_part
 def _over(one: complex, other: complex) -> complex:
-    """A quotient, which by zero is no number, but no error either."""
+    """The quotient of two complex numbers; NaN, but no error, if the divisor is zero."""
     return one * other.conjugate() * (1.0 / (other.real**2 + other.imag**2))

@@ -25,8 +25,8 @@ HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the 
 SIDE = 4  # 1 or -1, times which the guards of the group's first regime have this regime's signs
 SCALE = 5  # rad or N m, of which the margins of the lash's guards are shares
 _OF_LASH = 6
-# Behind the numbers of the last lash: the shift of each guard, see `shift`; and the inputs u of the regime as the phase,
-# or the load's piece, began.
+# Behind the numbers of the last lash: the shift of each guard, see `shift`; and the regime's inputs u as the phase, or
+# the load's piece, began.
 
 # The numbers of a search: first those that change while it goes on.
 TIME_LEFT = 0  # s, still to be searched

@@ -1,15 +1,17 @@
-"""The exact method: through the regimes by their modes, over spans in which no guard can turn negative.
+"""The exact method: runs follow the modes of each regime, over spans within which no guard turns negative.
 
-A span is chosen by guess, and counts only if it is then proved that no guard turned negative within it: from a guard's
-value, slope and curvature at both its ends, and a bound of its sixth derivative. Where not even the shortest can be
-expected to pass so, the guard is expanded there into its Taylor series, exact to rounding, and the series' first zero,
-if it has one, is the event. So no event is skipped, to rounding, for this model.
+The length of a span is an estimate, and the span counts only if it is then proved that no guard turned negative within
+it: from the guard's value, slope and curvature at both ends of the span, and a bound of its sixth derivative. Where not
+even the shortest span can be expected to pass this proof, the guard is expanded over it into its Taylor series, exact
+to rounding; the first zero of the series, if it has one, is the event. So, to rounding, no event of this model is
+skipped.
 
-The severity's extremes are located by the same means, where the acceleration could exceed what the window holds; and
-so are the near misses that make the run's margin, see `margins`.
+The extremes of the acceleration, which make the severity, are located by the same means wherever the acceleration could
+exceed the extremes of its window so far; and so are the near misses that make the margin of a run, see `margins`.
 
-A run is a row of `Workspace.numbers`. It waits in a queue until `advance` takes it, with others of its group, for a
-step side by side; a step that ends by an event, or with the load's piece, goes through `_follow`.
+A run is a row of `Workspace.numbers`. It waits in a queue until `advance` takes it, together with others in the same
+group of regimes, for a step side by side. A run that cannot just take its next step (after an event, at the end of the
+run or of the load's piece, after searches) goes through `_follow`.
 """
 
 import numpy as np
@@ -50,7 +52,7 @@ from clunk.core.switching import begin_run, chooses, is_instant, may_switch, rec
 
 @inlined_part
 def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
-    """Put a run of a driveline into an empty place of a workspace."""
+    """Begin a run of a driveline, in an empty slot of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
     row.driveline, row.status, row.quality, row.stages, row.searches = driveline, OK, 0, 0, 0
     row.load, row.ended = start.load, rows.GOES_ON
@@ -64,10 +66,11 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
 
 @inlined_part
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
-    """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue.
+    """Begin a phase in a regime, entered or kept: set its state, inputs and guards' shifts, and put the run in a queue.
 
-    The load goes on to its piece at that time. Frictions that can no longer stick there begin to slip, and rigid flanks
-    that a jump pulls apart separate, which are events; they are not asked where an event has just chosen their states.
+    The load goes on to the piece that it has at this time. Frictions that can no longer stick then begin to slip, and
+    rigid flanks that a jump of the load pulls apart separate; both are events. Neither is checked where the event that
+    led here has just chosen the states of all frictions and flanks at rest.
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, load, jumps = space.fields[slot], space.loads[row.load], row.ended != rows.BY_EVENT
@@ -80,7 +83,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         _take_events(space, slot, entry.written)
     regime = entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
-    row.rolled += turn_back(system, x)  # rigid flanks may have been moved
+    row.rolled += turn_back(system, x)  # not zero if rigid flanks were just moved
     copy(x, space.numbers[slot])  # a state for now; `moving.to_coordinates` makes coordinates of it
     if system.first_rolling >= 0:
         speeds = space.numbers[slot, system.inertias :]
@@ -96,7 +99,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
         own[rows.HELD_FROM] = held_from if contact.closed else -np.inf
         own[rows.SIDE] = -1.0 if mirrored else 1.0
-        # of margins: the gap between the flanks, or what is at rest in contact
+        # margins are shares of the whole gap between the flanks or, in contact, of the overlap or torque at rest
         own[rows.SCALE] = course.static if contact.side else 2.0 * inputs[gap_input(lash)]
     for n in range(entered.watched):
         numbers[rows.shift(n, system.lash_count)] = weigh(system.offsets[regime, n], inputs)
@@ -105,9 +108,10 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
 
 @part
 def advance(space: Workspace, stop: StopFlag) -> None:
-    """Take steps until as many runs as lanes are over, or none is left, or `stop` is set.
+    """Take steps until at least as many runs are over as there are lanes, or no run is left, or `stop` is set.
 
-    Those wait in the queue `over`. A queue has its turns while it fills the lanes, and then the longest one has.
+    Runs that are over wait in the queue `over`. Steps are taken from one queue as long as it fills the lanes, and then
+    from the longest one.
     """
     pool, queues, queue = space.pool, space.queues, space.queues.span
     while pool.length[queues.over] < WIDTH and not stop[0]:
@@ -121,7 +125,7 @@ def advance(space: Workspace, stop: StopFlag) -> None:
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
             if space.mixed:
                 functionals.gather_tables(space, flow, 1)
-            if queue >= queues.enter:  # and take the first step at once
+            if queue >= queues.enter:  # entered, the runs take their first step at once
                 moving.to_coordinates(space, flow)
                 put_back(pool, pool.work, space.numbers, space.behind, (1 << count) - 1)
                 short = space.flows.modal[0, flow] == 0
@@ -139,13 +143,13 @@ def advance(space: Workspace, stop: StopFlag) -> None:
 
 @inlined_part
 def _follow(space: Workspace, slot: int) -> None:
-    """Send a run on: end its phase, queue its next step, or end it."""
+    """Decide how a run goes on after a step: end its phase, queue its next step, or end the run."""
     row, system = space.runs[slot], system_of(space, slot)
     now = row.time + space.fields[slot, rows.ELAPSED]
     if row.ended in (rows.BY_EVENT, rows.AT_END):
         end = end_of_piece(system, space.loads[row.load], row.piece)
         if end - now < INSTANT and end < system.end_time[0]:
-            row.ended = rows.AT_END  # what follows tells whether an event happens
+            row.ended = rows.AT_END  # whether the event happens depends on the next piece
         if row.ended == rows.AT_END:
             now = end
     if row.ended == rows.BY_EVENT or (row.ended == rows.AT_END and now < system.end_time[0]):
@@ -160,7 +164,7 @@ def _follow(space: Workspace, slot: int) -> None:
 
 @inlined_part
 def _end_phase(space: Workspace, slot: int, time: float) -> None:
-    """End a phase by an event, or where another piece of the load begins, and enter what follows."""
+    """End a phase, by an event or where another piece of the load begins, and begin the next one."""
     system, row = system_of(space, slot), space.runs[slot]
     x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
     at = Moment(system, time, x, space.inputs[slot], tolerance_after(time - row.time), OF_MODES)
@@ -184,7 +188,7 @@ def _end_phase(space: Workspace, slot: int, time: float) -> None:
         if is_instant(at, log, row.count):
             _open_windows(space, slot, row.count - 1)
         entry = switch(at, log, row.regime, row.guard, row.count)
-        row.stages += entry.written == row.count  # one that is not written, which takes no room for events
+        row.stages += entry.written == row.count  # a change of stage that is not written as an event
         note_impacts(space, slot, at, entry)
         _take_events(space, slot, entry.written)
     else:
@@ -218,14 +222,17 @@ def _open_windows(space: Workspace, slot: int, k: int) -> None:
 
 @inlined_part
 def _close_phase(space: Workspace, slot: int, k: int) -> None:
-    """Write the extremes of the accelerations in a run's windows so far beside event `k`."""
+    """Write the extremes that a run's windows hold so far beside event `k`, which began the phase that ends."""
     for lash in range(space.system.lash_count):
         copy(space.of_lashes[slot, lash, :2], space.extremes[slot, k, lash])  # WINDOW_MAX and WINDOW_MIN
 
 
 @inlined_part
 def _take_events(space: Workspace, slot: int, written: int) -> None:
-    """Close the phases before events that were written behind the run's, and open the windows of primary impacts."""
+    """Take in the events of a run from `count` on that have just been written, `written` in all.
+
+    Turns the states kept at them by what the run has rolled by, ends the phase before each, and sets the windows after.
+    """
     row, log = space.runs[slot], log_of(space, slot)
     roll_states(system_of(space, slot), row.rolled, log, row.count, written)
     for k in range(row.count, written):

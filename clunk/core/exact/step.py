@@ -1,15 +1,16 @@
-"""One step of runs side by side: a span in which no guard turns negative, or a part of the shortest one to an event.
+"""One step of the runs in the lanes: over a span in which no guard turns negative, or up to an event.
 
-A span is proposed by guess, and then moved by. Only where it is proved that the guards stayed positive all through it
-does it count; elsewhere a run stays where it was, and tries a shorter one next. Where not even the shortest span will
-probably pass, the guards are expanded into their Taylor series over it, whose first zero is the event.
+A span is proposed by an estimate, and all runs are moved over it. It counts only for runs whose guards are proved to
+have stayed positive all through it; any other run stays where it was, and tries a shorter span next. Where not even the
+shortest span will probably pass this proof, the guards are expanded over it into their Taylor series, whose first zero
+is the event.
 
-What is not done, for it would buy too little: taking the fastest pairs of modes out of the guards, with the most that
-they can add subtracted instead, lets longer spans pass, but costs about as much time as it saves (load x lash and a car
+Not done, since it gains too little: to leave the fastest pairs of modes out of the guards, and subtract a bound of what
+they can add instead. Longer spans then pass, but that costs about as much time as it saves (load x lash and a car take
 0.96 of the time, ramps 1.05, two lashes 1.04).
 
-Between its parts a step keeps OF_SEEN rows of lanes in `seen` for each functional that it sees: those of the regime's
-guards and what else makes a margin, as the regime's table has them, and behind these each lash's acceleration.
+Between its parts a step keeps OF_SEEN rows of lanes in `Workspace.seen` for each functional that it evaluates: those of
+the regime's table, which are its guards and what else makes a margin, and behind these each lash's acceleration.
 """
 
 import numpy as np
@@ -30,29 +31,30 @@ from clunk.core.status import QUALITY_GRAZING
 from clunk.core.sums import copy
 from clunk.core.tables import ACCELERATION, GAP
 
-_ALL_BUT_ZERO = 1e-9  # of the gap: flanks that are so near as a phase begins rest on each other
-_NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
+_ALL_BUT_ZERO = 1e-9  # of the gap: rigid flanks that are nearer as a phase begins rest on each other
+_NEXT_TRY = 0.4  # of a span whose proof failed: no longer one is proposed next
 
-# Rows of `seen`: the functional at the step's beginning, and its sway; at its end; and its least and greatest values in
-# between, as `curves.between` has them.
+# Rows of a functional in `seen`: from _START and _END on its `Curve` at the step's beginning and end, its sway, and the
+# least and the greatest of `curves.between`.
 _START, _SWAY, _END, _LEAST, _GREATEST = 0, 5, 6, 11, 12
 
 
 @inlined_part
 def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
-    """Take a step with the `count` runs that have been taken: of a span, or of a part of the shortest one.
+    """Take a step with the `count` runs taken from a queue: over a span or, if `short`, a part of the shortest one.
 
-    In each lane there are coordinates y at a time t of the phase. With a functional's row c in the flow, its origin p
-    and the inputs u, a guard is g(t) = sign (c · y + p(t) · u) + shift. From t on, the amplitudes of y bound |c · y| by
-    its sway, and the third and the sixth derivative of g by their bounds. A span h is chosen such that a guess from all
-    these stays positive; y moves to exp(Λ h) y; and h counts if values, slopes and curvatures at t and t + h, and the
-    sixth derivative's bound, prove that g was positive in between. A part of the shortest span ends at the first zero
-    of the Taylor series of g, or at its own end.
+    Each lane has coordinates y at a time t of the phase. With a functional's row c in the flow, its origin p and the
+    inputs u, a guard is g(t) = sign (c · y + p(t) · u) + shift. From t on, the amplitudes of y give a bound of |c · y|,
+    the sway, and bounds of the third and the sixth derivative of g. A span h is chosen for which an estimate from these
+    stays positive; y becomes exp(Λ h) y; and h counts if the values, slopes and curvatures of g at t and t + h, and the
+    bound of its sixth derivative, prove that g was positive in between. A part of the shortest span ends at the first
+    zero of the Taylor series of g or, without one, where it was to end.
 
-    Each run then waits in the queue of its next step or of its searches, or in `follow`, where RUN's `ended` tells how
-    the step did. What failed stays where it was, and tries a shorter span next.
+    Each run then waits in the queue of its next step, or in `follow` with RUN's `ended` saying how the step ended, or,
+    likewise noted, for its searches to finish. A run whose proof failed stays where it was, and tries a shorter span
+    next.
 
-    group : of regimes, the one that all these runs are in
+    group : of regimes; all these runs are in one of it
     """
     system, flows, pool = space.system, space.flows, space.pool
     regime = system.leaders[group]
@@ -82,15 +84,15 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         blocked &= there
     advancing = there & ~blocked & ~lost
 
-    # All lanes are moved, also those that will not be put back. Until `put_back` the work space is at the step's end,
-    # and `space.numbers` at its beginning, where the searches of this step begin.
+    # All lanes are moved, also those that will not be put back. Until `put_back`, `pool.work` holds the step's end, and
+    # `space.numbers` its beginning, where the searches of this step begin.
     moving.move(space, flow, short, k, part)
     elapsed += h
     set_field(space, rows.ELAPSED, elapsed)
 
     failed, close = _prove(space, regime, h)
-    # A part of the shortest span was proved by `_find_event`. A span beyond the end of the run (before a kink none is
-    # proposed) counts as failed, so that no event depends on where that end is.
+    # A part of the shortest span was proved by `_find_event`. A span beyond the end of the run counts as failed, so
+    # that no event depends on where that end is; beyond a kink of the load no span is proposed.
     failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
     searching = _find_turns(space, regime, event, h, advancing)
@@ -107,14 +109,14 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         searching |= _find_depths(space, regime, event, happened)
 
     special = (settled | lost | ends | grazing | happened | searching) & present
-    close = close if flows.modal[0, flow] else -1  # without modes there are no longer spans
+    close = close if flows.modal[0, flow] else -1  # without modes only the shortest span can be taken
     push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
     push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
     push_all(pool, space.queues.follow, special & ~searching)
     noted = special | failed
     if not noted:
         return
-    # how the step ended, the first that holds
+    # how the step ended: by the first of settled, lost, event, end and near zero that holds
     ended = vectors.choose(close, float(rows.NEARS), float(rows.GOES_ON))
     ended = vectors.choose(happened, float(rows.BY_EVENT), vectors.choose(ends, float(rows.AT_END), ended))
     ended = vectors.choose(settled, float(rows.SETTLED), vectors.choose(lost, float(rows.LOST), ended))
@@ -131,12 +133,12 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
 @inlined_part
 def _evaluate(space: Workspace, regime: int, row: int) -> None:
-    """Write the functionals, and take the accelerations into their windows, at the step's end or its beginning.
+    """Evaluate the functionals at the step's beginning or end, and widen the windows by the accelerations there.
 
-    A guard is zero to the last bit at the beginning where it is known to be. What bounds derivatives from there on does
-    so from the end on, too.
+    A guard that is known to be zero at the beginning, with a slope that is not, is set to zero to the last bit. Bounds
+    of derivatives, which hold from the beginning on, are used from the end on, too.
 
-    row : _END or _START
+    row : _START or _END, where in `seen` the results are written
     """
     system, seen, entered = space.system, _functionals_seen(space, regime), space.system.regimes[regime]
     for n in range(seen):
@@ -145,7 +147,7 @@ def _evaluate(space: Workspace, regime: int, row: int) -> None:
             continue
         away, sway = functionals.evaluate(space, entered.flow, f)
         origin = _origin(space, entered.flow, f)
-        for m in range(n, seen):  # and the guards of the same functional
+        for m in range(n, seen):  # all guards of the same functional
             if _functional(space, regime, m) == f:
                 curve = curves.as_guard(away, origin, _sign(space, regime, m), _shift(space, regime, m))
                 vectors.store(space.seen, m * OF_SEEN + row, curve)
@@ -162,13 +164,13 @@ def _evaluate(space: Workspace, regime: int, row: int) -> None:
 
 @inlined_part
 def _functionals_seen(space: Workspace, regime: int) -> int:
-    """Number of functionals that a step sees; the last ones are the accelerations, but for impulsive touches."""
+    """Number of functionals that a step evaluates: the regime's, and the accelerations unless touches are impulsive."""
     return space.system.regimes[regime].watched + space.system.lash_count * (1 - space.system.impulsive)
 
 
 @inlined_part
 def _functional(space: Workspace, regime: int, n: int) -> int:
-    """The functional that is seen as number n."""
+    """The functional that is number n in `Workspace.seen`."""
     system, watched = space.system, space.system.regimes[regime].watched
     if n < watched:
         return system.guards[regime, n].functional
@@ -177,13 +179,13 @@ def _functional(space: Workspace, regime: int, n: int) -> int:
 
 @inlined_part
 def _origin(space: Workspace, flow: int, f: int) -> curves.Origin:
-    """The origin of a functional, at the time that `ELAPSED` says."""
+    """The origin of a functional at the time ELAPSED."""
     return functionals.origin(space, flow, f, space.inputs_at, field(space, rows.ELAPSED))
 
 
 @inlined_part
 def _sign(space: Workspace, regime: int, n: int) -> Vector:
-    """The sign by which a functional makes guard n; an acceleration is as it is."""
+    """The sign of the functional in guard n; 1 for an acceleration."""
     if n >= space.system.regimes[regime].watched:
         return vectors.splat(1.0)
     lash, sign = lash_of(space.system, regime, n), space.system.guards[regime, n].sign
@@ -192,7 +194,7 @@ def _sign(space: Workspace, regime: int, n: int) -> Vector:
 
 @inlined_part
 def _shift(space: Workspace, regime: int, n: int) -> Vector:
-    """The shift that makes guard n of its functional."""
+    """The shift of guard n; 0 for an acceleration."""
     if n >= space.system.regimes[regime].watched:
         return vectors.splat(0.0)
     return field(space, rows.shift(n, space.system.lash_count))
@@ -200,7 +202,7 @@ def _shift(space: Workspace, regime: int, n: int) -> Vector:
 
 @inlined_part
 def _lash(space: Workspace, regime: int, n: int) -> int:
-    """The lash whose margin guard n makes; of a guard that makes none, any."""
+    """The lash whose margin guard n makes; 0, with no meaning, for a guard of no lash."""
     return max(lash_of(space.system, regime, n), 0)
 
 
@@ -212,7 +214,10 @@ def _scale(space: Workspace, regime: int, n: int) -> Vector:
 
 @inlined_part
 def _bar(space: Workspace, regime: int, n: int) -> Vector:
-    """Value below which guard n has to turn back to make the margin smaller, or an event's guard may go."""
+    """The margin's magnitude in units of guard n.
+
+    Only a guard that turns back below it, or that goes less deep than it at an event, makes the margin smaller.
+    """
     return vectors.magnitude(field_of(space, rows.MARGIN, _lash(space, regime, n))) * _scale(space, regime, n)
 
 
@@ -224,7 +229,10 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 
 @inlined_part
 def _stays(space: Workspace, regime: int) -> int:
-    """Lanes where guards stay positive for ever, without a miss that counts, and accelerations within their windows."""
+    """Lanes where nothing that counts can follow: no event, no near miss, and no acceleration beyond its window.
+
+    Proved, for as long as the load does not change, from the origins and sways.
+    """
     stays, watched = -1, space.system.regimes[regime].watched
     for n in range(_functionals_seen(space, regime)):
         if not stays:
@@ -242,9 +250,9 @@ def _stays(space: Workspace, regime: int) -> int:
 
 @inlined_part
 def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vector, Vector, int]:
-    """The longest span in which, by guess, no guard turns negative.
+    """The longest span of the ladder in which, by `curves.guess`, no guard turns negative.
 
-    at_most : the longest that may be proposed
+    at_most : the longest span that may be proposed  [s]
 
     Returns
     -------
@@ -256,10 +264,10 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
     count, rungs = space.system.regimes[regime].guards, space.flows.span.shape[2] // 2
     h, k = shortest_span(space, space.system.regimes[regime].flow), vectors.splat(0.0)
     passes = _passes(space, count, h, at_most)
-    for n in range(count):  # where a guard is zero with its slope, its series decides
+    for n in range(count):  # one that is zero with its slope is left to its series
         passes &= (vectors.load(space.seen, n * OF_SEEN + _START) >= 0.0) & ~(_zero_order(space, n) > 1.0)
     blocked = ~passes
-    while rungs > 0:  # two an octave
+    while rungs > 0:  # bisection of the ladder, which has two spans an octave
         longer = h * (float(1 << rungs // 2) if rungs > 1 else 1.5)
         passes = _passes(space, count, longer, at_most)
         h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + float(rungs), k)
@@ -269,7 +277,7 @@ def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vecto
 
 @inlined_part
 def _passes(space: Workspace, count: int, h: Vector, at_most: Vector) -> int:
-    """Lanes where so many guards are positive by guess up to a time h."""
+    """Lanes where h is at most `at_most`, and the first `count` guards are positive after h by `curves.guess`."""
     passes = h <= at_most
     for n in range(count):
         passes &= curves.guess(load_curve(space.seen, n * OF_SEEN + _START), h) > 0.0
@@ -280,16 +288,20 @@ def _passes(space: Workspace, count: int, h: Vector, at_most: Vector) -> int:
 def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tuple[Vector, Vector, int, int]:
     """Prove that no guard turns negative within a part of the shortest span, or find the first that does.
 
-    A guard whose lower bound `curves.low` is positive stays so; the others are expanded into their Taylor series. So is
-    one that a jump of the load has made negative, though it may rise again.
+    A guard whose lower bound `curves.low` is positive stays positive; any other is expanded into its Taylor series. So
+    is a guard that a jump of the load has made negative, though it may rise again, or that is zero with its slope.
+
+    there : the lanes to look at
+    part : how far to look, as a share of the shortest span
 
     Returns
     -------
     event, part : Vector
-        The guard, or -1; and the part of the shortest span up to its event, or up to which it is proved that there is
-        none.
+        The guard of the first event, or -1; and the part of the shortest span up to this event, or up to which it is
+        proved that there is none.
     lost, grazing : int
-        The lanes where nothing is finite any more, and where a guard all but turned negative.
+        The lanes where a guard is not finite, and where a guard turned back so little below zero that it does not count
+        as negative.
     """
     system, flow = space.system, space.system.regimes[regime].flow
     shortest, event, lost, grazing = shortest_span(space, flow), vectors.splat(-1.0), 0, 0
@@ -303,7 +315,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         scale = _scale(space, regime, n) if guard.lash >= 0 else vectors.magnitude(shift)
         origin = _origin(space, flow, guard.functional)
         noise = ROUNDING * functionals.expand(space, flow, guard.functional, sign, shift, origin)
-        if system.element_count > 1:  # another element's event at the same time may have been located first
+        if system.element_count > 1:  # an event of another element at the same time may have been located first
             instant = vectors.magnitude(vectors.load(space.series, 1)) * (INSTANT / shortest)
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
             noise = vectors.larger(noise, instant)
@@ -321,20 +333,21 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
 def _first_zero(
     space: Workspace, near: int, order: Vector, noise: Vector, of_slope: Vector, scale: Vector, part: Vector
 ) -> tuple[int, int, int, Vector, Vector]:
-    """The first zero within a part of the shortest span of the guards whose series are `space.series`.
+    """The first zero of a guard, whose series is `Workspace.series`, within a part of the shortest span.
 
-    near : the lanes that are concerned
-    order : how many of a guard's derivatives are zero at the beginning, itself included
-    noise, of_slope : its rounding, and that of its derivatives over the span
-    scale : what its grazing is relative to: 0 for a lash's guard that makes no margin
+    near : the lanes to look at
+    order : how many of the guard's derivatives are zero at the beginning, itself included
+    noise, of_slope : rounding of the guard, and of its coefficients c1 to c3 in the series
+    scale : of which GRAZING and `rubbing.WITHIN` are shares; 0 for a lash's guard that makes no margin
+    part : how far to look, as a share of the shortest span
 
     Returns
     -------
     crosses, lost, grazes : int
-        The lanes where a guard turns negative, where nothing is finite, and where it does not turn negative, but turns
-        back within GRAZING.
+        The lanes where the guard turns negative; where it is not finite; and where it turns back within GRAZING below
+        zero, which does not count as negative.
     s, part : Vector
-        In shares of the shortest span; and up to where it is known that the other guards do not turn negative.
+        The zero; and, where there is none, the part within which this is proved. In shares of the shortest span.
     """
     c = space.series
     start = vectors.load(c, 0)
@@ -344,18 +357,18 @@ def _first_zero(
     given = order > 0.0
     starts = given | (start <= noise) & (start >= -within)
     order = vectors.choose(starts & ~given, 1.0, order)
-    for n in range(1, 4):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
+    for n in range(1, 4):  # such as rigid flanks that part at rest, while others rebound, or from a torque of zero
         starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= of_slope)
         order = vectors.choose(starts, vectors.larger(order, n + 1.0), order)
-    near &= ~starts  # they move together, and nothing presses them on each other
-    for n in range(3):  # zeros at the beginning are divided out
+    near &= ~starts  # flanks whose guard stays zero move together, and nothing presses them on each other
+    for n in range(3):  # zeros at the beginning are divided out of the series
         shifted = order > float(n)
         if not shifted:
             break
         for j in range(TERMS):
             vectors.store(c, j, vectors.choose(shifted, vectors.load(c, j + 1), vectors.load(c, j)))
     crosses, s, fall, half, part = taylor.first_zero(c, near, part)
-    # only where it falls at once can it turn back within rounding
+    # a guard that is zero at the beginning can turn back within GRAZING only if it falls at once, by its slope there
     start = vectors.load(c, 0)
     fall = vectors.choose(order > 0.0, start, fall)
     bend = vectors.choose(order > 0.0, 2.0 * vectors.load(c, 1), 2.0 * half)
@@ -366,14 +379,14 @@ def _first_zero(
 
 @inlined_part
 def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
-    """Look at the guards at the step's end, and prove that they stayed positive over its time h.
+    """Evaluate the functionals at the step's end, and prove that the guards stayed positive over its time h.
 
-    That they are not negative at its beginning `_propose_span` has seen; the bound in between is `curves.between`.
+    `_propose_span` has checked that they are not negative at the beginning; `curves.between` bounds them in between.
 
     Returns
     -------
     failed : int
-        The lanes where that is not proved.
+        The lanes where a guard is not proved to have stayed positive.
     close : int
         The lanes where not even the shortest span will probably pass next.
     """
@@ -393,11 +406,14 @@ def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
 
 @inlined_part
 def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advancing: int) -> int:
-    """Begin to search what counts of where functionals turn back within a step of time h; return the lanes.
+    """Begin the searches for turns that may count within a step of time h; return the lanes that have any.
 
-    That is an acceleration beyond its window, or a guard so low that it is a near miss. Guards that are zero with their
-    slope at the beginning are passed over: there, rounding would show one. So are gaps of rigid flanks that are all but
-    zero as a phase begins: these rest on each other, or have been moved apart beside others.
+    A turn counts where an acceleration is beyond its window, or a guard so low that the near miss makes the margin
+    smaller. Guards that are zero with their slope at the beginning are passed over, since rounding would make a turn
+    there. So are gaps of rigid flanks that are all but zero as a phase begins: these flanks rest on each other, or have
+    been moved apart beside others.
+
+    event : the guard of each lane's event, or -1
     """
     system, elapsed, turns = space.system, field(space, rows.ELAPSED), 0
     watched = system.regimes[regime].watched
@@ -433,9 +449,14 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
 def _begin_search(
     space: Workspace, regime: int, n: int, mask: int, time_left: Vector, began: Vector, counts: Vector, deep: bool
 ) -> None:
-    """Begin to search the turns of functional n within the step, or how deep it goes behind it, in some lanes.
+    """Begin to search, in some lanes, the turns of functional n within the step, or how deep it goes after the step.
 
-    It begins at the state in the run's row: before `put_back` the beginning of the step, after it its end.
+    A search begins at the state in the run's row of `Workspace.numbers`: called before `put_back` that is the beginning
+    of the step, called after `put_back` its end.
+
+    mask : the lanes
+    time_left, began, counts : TIME_LEFT, PHASE_TIME and COUNTS of the searches, see `rows`  [s]
+    deep : whether to search the depth
     """
     system, infinite, watched = space.system, vectors.splat(np.inf), space.system.regimes[regime].watched
     search, top, bottom, until = n - watched, infinite, infinite, -infinite
@@ -463,15 +484,15 @@ def _begin_search(
 
 @inlined_part
 def _find_depths(space: Workspace, regime: int, event: Vector, happened: int) -> int:
-    """Begin to search how deep the guards of events would go, where a label hangs on that; return the lanes.
+    """Begin to search how deep the guards of events would go, where a label hangs on that; return these lanes.
 
-    For as long as a run lasts: a guard that has not turned back then is taken as one that never does.
+    A depth is searched over a time as long as a run: a guard that has not turned back by then is taken never to do so.
     """
     depths, elapsed, infinite = 0, field(space, rows.ELAPSED), vectors.splat(np.inf)
     for n in range(space.system.regimes[regime].guards):
         end, mask = load_curve(space.seen, n * OF_SEEN + _END), 0
         among = happened & (event == float(n)) & (_scale(space, regime, n) > 0.0)
-        among &= ~(curves.falls_by(end) >= _bar(space, regime, n))  # it goes certainly deeper than the margin is
+        among &= ~(curves.falls_by(end) >= _bar(space, regime, n))  # others certainly go deeper than the margin so far
         while among:
             lane = vectors.first_of(among)
             among &= among - 1

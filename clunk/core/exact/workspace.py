@@ -1,6 +1,6 @@
-"""The runs that are under way by the exact method: their numbers, the searches they wait for, and the queues.
+"""Workspace of the exact method: the numbers of the runs under way and of their searches, the queues, and scratch.
 
-`rows` names these numbers.
+`rows` names the positions of these numbers.
 """
 
 import threading
@@ -21,82 +21,85 @@ from clunk.core.regimes import System, driveline_at
 from clunk.core.runs import Log
 from clunk.core.sequence import COURSE
 
-# Runs: many wait for the same, and its code is at hand for several steps on end. With twice as many the rig takes 1.1
-# times as long, and with frictions 0.95 times.
+# Runs under way at a time. With many, enough of them wait for steps of one kind to take several of these on end, whose
+# code then stays in the cache. With twice as many, the rig takes 1.1 times as long, and with frictions 0.95 times.
 UNDER_WAY = 16 * WIDTH
-GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
-OF_SEEN = 13  # rows of lanes that a step keeps of a functional
+GRAZING = 1e-12  # share of a guard's scale: a guard that turns back so little below zero has not turned negative
+OF_SEEN = 13  # rows of lanes that a step keeps of each functional, see clunk.core.exact.step
 
 RUN = record_of(
-    tag="i8",  # the caller's
+    tag="i8",  # by which the caller knows the run
     driveline="i8",
     status="i8",
     quality="i8",
     count="i8",  # events so far
     regime="i8",
-    stages="i8",  # changes of stage so far that are not written
-    searches="i8",  # in its last step that are under way
-    load="i8",  # its row of the loads
+    stages="i8",  # changes of stage so far that are not written as events
+    searches="i8",  # searches of the last step that are still under way
+    load="i8",  # the row of `Workspace.loads`
     piece="i8",  # of the load
-    ended="i8",  # how the last step did, see `rows.GOES_ON`
-    guard="i8",  # the one that ended it, by an event
-    time="f8",  # s, when the phase began; after the end, when the run did
-    rolled="f8",  # rad, by the first inertia that rolls; the angles of the run are less that
+    ended="i8",  # how the last step ended, see `rows.GOES_ON`
+    guard="i8",  # the guard that ended the last step, if an event did
+    time="f8",  # s after the load step, when the phase began; of a run that is over, when it ended
+    rolled="f8",  # rad, by which the first inertia that rolls has turned; the angles of the run are less that
 )
 
 
 class Queues(NamedTuple):
-    """The first queue of each kind: of steps and entries by the regime's group, of searches by flow and functional."""
+    """Number of the first queue of each kind.
 
-    span: int  # a step of a span
-    short: int  # a step of a part of the shortest span
-    enter: int  # entering a regime
-    search: int  # searching within a step, see `clunk.core.exact.search`
+    Steps and entries have a queue for each group of regimes, searches one for each flow and functional in it.
+    """
+
+    span: int  # runs whose next step takes a span
+    short: int  # runs whose next step takes a part of the shortest span
+    enter: int  # runs that enter a regime
+    search: int  # searches, see `clunk.core.exact.search`
     over: int  # finished runs
-    follow: int  # those that have taken a step, or found what they searched, and are to be sent on
+    follow: int  # runs whose last step, with its searches, is done, and whose next queue is still to be chosen
 
 
 class Workspace(NamedTuple):
-    """Runs under way, S at most, with what one thread needs to take steps with them.
+    """The runs under way, S at most, and all that one thread needs to take steps with them.
 
     N states, G guards, L lashes, W lanes; D drivelines, P pieces of a load; else as in `Flows`.
     """
 
-    system: System  # of the first driveline: for all but `regimes.VARYING`, which `system_of` a run has
+    system: System  # of the first driveline; the fields in `regimes.VARYING` are read from `system_of` a run
     systems: IntArray  # (D, …)  that of each driveline, see `system_at`
     flows: Flows  # of all drivelines, with an axis in front
     mixed: int  # whether runs that are taken together may have different drivelines
     pool: Pool
     queues: Queues
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
-    fields: FloatArray  # (S + 1, …)  those among them that `rows` names
-    of_lashes: FloatArray  # (S + 1, L, …)  those among these that are of each lash
-    weighed: FloatArray  # (S + 1, I)  and those that are u, what the run's regime makes of its inputs
-    searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each run's searches; the last row is scratch again
+    fields: FloatArray  # (S + 1, …)  view of `numbers`, from the first one that `rows` names on
+    of_lashes: FloatArray  # (S + 1, L, …)  view of `numbers`: those of each lash
+    weighed: FloatArray  # (S + 1, I)  view of `numbers`: u, the inputs times the weights of the run's regime
+    searches: FloatArray  # ((S + 1) (L + G + 1), …)  of each search of each run; the last row is scratch likewise
     searches_each: int  # L + G + 1
-    behind: int  # C, where the numbers that `rows` names begin in a row
-    inputs_at: int  # and where u does
+    behind: int  # C, the position in a row where the numbers that `rows` names begin
+    inputs_at: int  # the position in a row where u begins
     runs: Records  # (S + 1,) RUN
     courses: Records  # (S, L) sequence.COURSE
     loads: FloatArray  # (loads, P, PIECE)
-    inputs: FloatArray  # (S, I)  d of each run, when its phase or its load's piece began
+    inputs: FloatArray  # (S, I)  d of each run as its phase, or its load's piece, began
     state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
     events: Records  # (S, capacity) EVENT
-    extremes: FloatArray  # (S, capacity, L, 2)
-    states: FloatArray  # (S, capacity, N), or (S, 0, N)
+    extremes: FloatArray  # (S, capacity, L, 2)  [rad/s2]  see `runs.Log`
+    states: FloatArray  # (S, capacity, N)  [rad, rad/s]  at the events, or (S, 0, N)
     # scratch of a step
     seen: FloatArray  # ((G + L) OF_SEEN, W)  see clunk.core.exact.step
     series: FloatArray  # (TERMS + 1, W)  the last row is always zero
     amplitudes: FloatArray  # (C/2, W)  of the items that have been taken
     moved: FloatArray  # (2C, W)
-    notes: FloatArray  # (OF_A_SEARCH, W)  for what is done for a lane alone
+    notes: FloatArray  # (OF_A_SEARCH, W)  values of all lanes that are then read lane by lane
     shortest: FloatArray  # (K, W)  the shortest span of each flow
     drivelines: IntArray  # (W,)  of the items that have been taken, if they are mixed
-    # what is read of these drivelines' tables, gathered by `functionals`: a column for each lane
+    # the parts of these drivelines' tables that are read, gathered by `functionals`: a column for each lane
     lane_watch: FloatArray  # (F B WATCHED, W)
     lane_output_origins: FloatArray  # (4 F I, W)
     lane_state_origins: FloatArray  # (4 I C, W)
-    lane_table: FloatArray  # (…, W)  any other
+    lane_table: FloatArray  # (…, W)  any other table, for as long as it is used
     held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
 
 
@@ -104,27 +107,29 @@ _latest = threading.local()  # `space`: the last workspace of one driveline that
 
 
 def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int) -> Workspace:
-    """Room for `slots` runs or more, none of which has begun: what this thread had last, where that fits.
+    """A workspace for `slots` runs or more, none of which has begun: the last one of this thread, if that fits.
 
     Parameters
     ----------
     systems : System
-        Of a batch of drivelines; to outlive the workspace.
+        Of a batch of drivelines; must outlive the workspace.
     flows : Flows
         Of all drivelines, with an axis in front.
     loads : (loads, P, PIECE) float64
+    capacity : events of a run, the load step included
+    states : `capacity`, or 0 if no states are kept
     """
     space: Any = getattr(_latest, "space", None)
     fits = space and space.flows is flows and len(space.runs) > slots and space.events.shape[1] == capacity
     if fits and space.states.shape[1] == states:
-        space.pool.length[:] = 0  # runs that were stopped wait there
+        space.pool.length[:] = 0  # runs of a call that was stopped still wait there
         return space._replace(loads=loads)
     system, size, most = driveline_at(systems, 0), flows.basis.shape[3], systems.guards.shape[1]
     drivelines, count, functionals = flows.watch.shape[:3]
     mixed = int(drivelines > 1)
     shortest = aligned(count)
     shortest[:] = flows.span[0, :, :1]
-    # in order: span, short, enter, each by group; search by flow and functional; over; follow
+    # queues in order: span, short and enter, each by group; search, by flow and functional; over; follow
     groups = system.leaders.size
     over = 3 * groups + count * functionals
     lashes, driven = system.lash_count, system.input_count
@@ -137,7 +142,7 @@ def workspace_of(systems: System, flows: Flows, loads: FloatArray, slots: int, c
         flows=flows,
         mixed=mixed,
         pool=Pool(
-            # two guards of a functional may be searched at a time
+            # a run may have two searches in one queue: its regime may have two guards of the same functional
             waiting=np.zeros((over + 2, 2 * slots + 1), np.int64),
             length=np.zeros(over + 2, np.int64),
             work=aligned(whole(of_a_run)),
@@ -217,5 +222,5 @@ def field_of(space: Workspace, name: int, lash: int) -> Vector:
 
 @inlined_part
 def log_of(space: Workspace, slot: int) -> Log:
-    """The events of a run, and its states."""
+    """The `runs.Log` of a run."""
     return Log(space.events[slot], space.extremes[slot], space.courses[slot], space.states[slot])
