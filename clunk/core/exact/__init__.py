@@ -1,1 +1,1 @@
-"""The exact method: by modes, over spans for which it is proved that no guard turns negative."""
+"""The exact method: regimes are solved by modes, over spans for which it is proved that no guard turns negative."""

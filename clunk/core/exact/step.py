@@ -32,7 +32,7 @@ from clunk.core.sums import copy
 from clunk.core.tables import ACCELERATION, GAP
 
 _ALL_BUT_ZERO = 1e-9  # of the gap: rigid flanks that are nearer as a phase begins rest on each other
-_NEXT_TRY = 0.4  # of a span whose proof failed: no longer one is proposed next
+_NEXT_TRY = 0.4  # the longest span that is proposed after one whose proof failed, as a share of that one
 
 # Rows of a functional in `seen`: from _START and _END on its `Curve` at the step's beginning and end, its sway, and the
 # least and the greatest of `curves.between`.
@@ -50,11 +50,11 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     bound of its sixth derivative, prove that g was positive in between. A part of the shortest span ends at the first
     zero of the Taylor series of g or, without one, where it was to end.
 
-    Each run then waits in the queue of its next step, or in `follow` with RUN's `ended` saying how the step ended, or,
-    likewise noted, for its searches to finish. A run whose proof failed stays where it was, and tries a shorter span
+    Each run then waits in the queue of its next step, or in `follow`, or for its searches to finish; in the last two
+    cases RUN's `ended` says how the step ended. A run whose proof failed stays where it was, and tries a shorter span
     next.
 
-    group : of regimes; all these runs are in one of it
+    group : the group of regimes that all these runs are in
     """
     system, flows, pool = space.system, space.flows, space.pool
     regime = system.leaders[group]
@@ -357,7 +357,7 @@ def _first_zero(
     given = order > 0.0
     starts = given | (start <= noise) & (start >= -within)
     order = vectors.choose(starts & ~given, 1.0, order)
-    for n in range(1, 4):  # such as rigid flanks that part at rest, while others rebound, or from a torque of zero
+    for n in range(1, 4):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
         starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= of_slope)
         order = vectors.choose(starts, vectors.larger(order, n + 1.0), order)
     near &= ~starts  # flanks whose guard stays zero move together, and nothing presses them on each other
