@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from clunk.sweeping.parts import PartsError as PartsError
     from clunk.sweeping.runner import Runner as Runner
 
-# Public names, by the module that they are in; `plot` is a module itself.
+# Public names, listed by the module that defines them; the public name `plot` is the module `clunk.plot` itself.
 _NAMES = {
     "analysis.comparison": "Comparison compare verify",
     "analysis.fitted": "Fitted fitted_study",
@@ -71,7 +71,7 @@ __all__ = list(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: `clunk --help` waits for neither numba nor pydantic."""
+    """Import a public name on its first use, so that `clunk --help` need not wait for numba and pydantic to load."""
     if name not in _HOME:
         raise AttributeError(f"module 'clunk' has no attribute {name!r}")
     from importlib import import_module

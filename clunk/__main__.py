@@ -1,4 +1,4 @@
-"""`python -m clunk`: the command line."""
+"""Run the command line, as `python -m clunk`."""
 
 from clunk.cli import main
 

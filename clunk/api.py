@@ -1,4 +1,4 @@
-"""Functions for scripts and notebooks beside `load_study` and `simulate`: sweeps, tolerance maps, points, pictures."""
+"""Functions for scripts and notebooks beside `load_study` and `simulate`: sweeps, maps, runs at points, figures."""
 
 from __future__ import annotations
 
@@ -47,46 +47,46 @@ def sweep(
     Parameters
     ----------
     study : Study
-        With at least one axis.
+        With at least one axis or sample.
     output : path of a results file (.h5), optional
-        As ``clunk sweep`` writes it: finished cells are kept on the disk, a sweep that was stopped goes on when it is
-        called again, and one that is complete in the file is read instead of run.
+        Written as ``clunk sweep`` writes it: finished cells are kept on the disk, a stopped sweep goes on when it is
+        called again, and a sweep that is complete in the file is read instead of run.
     progress : bool or callable(done, total)
-        True shows a bar in a terminal or a notebook, and a line now and then elsewhere; or else a function that is
-        called in this thread with the number of cells after each finished tile.
+        True shows a bar in a terminal or a notebook, and prints a line every few seconds elsewhere. A function is
+        called in this thread with the numbers of finished and of all cells, at the beginning and after each tile.
     workers : int, optional
-        Threads; by default one for each core that this process may use.
+        Number of threads; by default one for each core that this process may use.
     scheduler : str, optional
-        Run on the workers of this dask scheduler, ``tcp://host:8786``; or, ``local``, on processes of this machine, as
-        many as `workers`.
+        Address of the dask scheduler on whose workers the cells run, such as ``tcp://host:8786``; or ``local``, to run
+        them on `workers` processes of this machine.
     boundaries : bool, optional
-        Also trace the curves between the labels, of two axes: `Results.boundaries`. By default as the study's
-        ``[sweep] boundaries`` says, and where it is left out they are.
-    lash : str, optional
-        Of several lashes, the one whose boundaries are traced, by name or number; by default the first.
+        Whether to trace the curves between the labels on a map of two axes, too: `Results.boundaries`. By default as
+        the study's ``[sweep] boundaries`` says; without that key, they are traced on every map that can have them.
+    lash : str or int, optional
+        Name or number of the lash whose boundaries are traced, of several lashes; by default the first.
     restart : bool
-        Neither go on with a stopped sweep nor keep a finished one.
+        Run all cells anew: neither go on with a stopped sweep nor keep a finished one.
     force : bool
         Overwrite a results file of another study.
 
     Returns
     -------
     Results
-        Those of a cell depend on nothing but its parameters: neither workers nor interruptions change a bit.
+        The results of a cell depend only on its parameters: workers and interruptions change no bit of them.
 
     Raises
     ------
     ClunkError
-        Where there is nothing to sweep, the grid does not fit in memory, no cell of it could run, or the file holds
-        something else.
+        Where there is nothing to sweep, the grid does not fit in memory, no cell of it can run, or the file holds
+        other results.
     StoreError, PartsError, ClunkError
-        Where the file cannot be written, or finished cells cannot be kept or taken up.
+        Where the file cannot be written, or finished cells cannot be kept on the disk or read back.
     EngineError
-        Where the scheduler or its workers cannot start or go on; finished cells have been kept.
+        Where the scheduler or its workers cannot start or go on; finished cells have been kept, as at an interrupt.
     ClunkError
-        Where boundaries are asked for and the study's map has none that could be traced.
+        Where boundaries are asked for and the study's map cannot have them, or there is no such lash.
     KeyboardInterrupt
-        Passed on after finished cells have been kept.
+        Raised again after finished cells have been kept on the disk, if there is an output.
 
     Examples
     --------
@@ -125,19 +125,19 @@ def tolerance_map(
     Parameters
     ----------
     study : Study
-        With at least one axis, and tolerances.
+        With at least one axis or sample, and tolerances.
     output, progress, workers, scheduler, restart, force
-        As of `sweep`.
+        As for `sweep`.
 
     Returns
     -------
     ToleranceMap
-        How probable each label is in each cell, and the severity's mean and quantiles there.
+        Probability of each label in each cell, and mean and quantiles of the cell's severity.
 
     Raises
     ------
     ClunkError
-        Where the study has no tolerances. Other errors are as of `sweep`.
+        Where the study has no tolerances. Other errors are those of `sweep`.
 
     Examples
     --------
@@ -168,23 +168,24 @@ def run_points(
     Parameters
     ----------
     study : Study
-        The values of all other parameters; its sweep, if any, is left aside.
+        Gives the values of all other parameters; its sweep, if any, is ignored.
     points : parameter -> (n,) array of float, in the parameter's unit
-        Any numeric keys of the config, of equal length: the k-th values together are the k-th run.
+        Values of any numeric keys of the config, in arrays of equal length: the k-th values together are the k-th run.
     progress, workers, scheduler
-        As of `sweep`.
+        As for `sweep`.
 
     Returns
     -------
     Results
-        Along one axis, `run`, with the parameters as coordinates on it; bit for bit those of a sweep's cells.
+        Results along one axis, `run`, with the parameters as coordinates on it; bit for bit equal to those of a sweep's
+        cells with these values.
 
     Raises
     ------
     ConfigError
         Where a key or a value is not one that a config may hold, or the arrays are not equally long.
     ClunkError, EngineError, KeyboardInterrupt
-        As of `sweep`.
+        As for `sweep`.
 
     Examples
     --------
@@ -209,29 +210,29 @@ def run_points(
 def draw(
     what: Results | ToleranceMap | Trajectory | Fitted, quantity: str = "regimes", *, lash: str | int | None = None
 ) -> Figure:
-    """The map of a sweep's results, the picture of a run, or the maps before and after a fit.
+    """Draw the map of a sweep's results, the time history of a run, or the maps before and after a fit.
 
     Parameters
     ----------
     what : Results, ToleranceMap, Trajectory or Fitted
     quantity : str
-        Of a run or a fit none. Of results: regimes, severity, touches, double_sided_impacts, severity<=8000 and so on,
-        in the words of `clunk.results.quantities`. Of a tolerance map: regimes, severity (its mean), severity_5,
-        severity_50, severity_95, or the probability of double_sided and the like.
+        For a run or a fit, leave it out. For results: regimes, severity, touches, double_sided_impacts,
+        severity<=8000 and so on, in the words of `clunk.results.quantities`. For a tolerance map: regimes, severity
+        (its mean), severity_5, severity_50, severity_95, or the probability of double_sided and the like.
     lash : str or int, optional
-        Of a map of several lashes, the one to draw, by name or number; by default the first.
+        Name or number of the lash to draw, of a map of several lashes; by default the first.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A notebook shows it; `clunk.plot.save` writes it as PNG, SVG or PDF.
+        A notebook shows the figure; `clunk.plot.save` writes it as PNG, SVG or PDF.
 
     Raises
     ------
     PlotError, ClunkError
-        Where the results cannot be drawn so; or with a quantity or a lash of a run or a fit.
+        Where the results cannot be drawn with this quantity or lash, or one of these is given for a run or a fit.
     TypeError
-        Where it is something else, a Dataset for example.
+        Where `what` is of another type, a Dataset for example.
 
     Examples
     --------
@@ -271,7 +272,10 @@ def _run(
     restart: bool,
     force: bool,
 ) -> AnyMap:
-    """The map of a study's sweep, or the one that its file already has; addition : adds to it when it is finished."""
+    """Run a study's sweep, or read its map from a results file where that is complete.
+
+    addition : makes of the finished map one with something added, such as its boundaries
+    """
     path = None if output is None else Path(output)
     files.check(path, files.RESULTS)
     with opened(path, study, restart=restart, force=force) as job:

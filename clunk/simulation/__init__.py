@@ -1,4 +1,4 @@
-"""A driveline under a load: its matrices and steady motion, a single run, its histories, energy and linear view.
+"""A driveline under a load: matrices, modes, steady motion, single runs, their histories and energy, the small gap.
 
-Knows a study and the core; nothing of maps and files.
+The package uses studies and the core, and knows nothing of maps and files.
 """

@@ -1,4 +1,4 @@
-"""Many drivelines prepared at once: the same study with other values of any of its keys, as arrays."""
+"""Batches of drivelines, prepared together as arrays: one study with many sets of values of any of its keys."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -18,23 +18,23 @@ from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows
 from clunk.study.study import Study, replace_values
 
-_MOST = 512  # drivelines of a batch: of two flows 14 MB of tables, and each one's share in 5 ms is small
-_MEASURED = 128  # of those whose channels are tabulated, which take some 100 KB each
-_ENTRIES = 2**18  # of all matrices of a batch's flows, of some 250 bytes of tables each: 64 MB
+_MOST = 512  # drivelines in a batch, with two flows 14 MB of tables: each has a small share in the batch's 5 ms
+_MEASURED = 128  # drivelines in a batch with channels, whose tables take some 100 KB for each driveline
+_ENTRIES = 2**18  # of the matrices of all flows in a batch, with some 250 bytes of tables for each entry: 64 MB
 
 
 @functools.lru_cache(maxsize=4)
 def prepare_one(study: Study) -> Batch:
     """The switched linear system of a study, the tables of its method, and the channels of its measures, if any.
 
-    The latest ones are kept: they are a third of the time of a small sweep, and of a call with few points. By a study
-    of `of_system` they are kept for other loads and backlashes, too.
+    The latest results are cached, as preparing takes a third of the time of a small sweep or of a call with few points.
+    Studies that differ only in loads and backlashes share a result if it is asked for by their `of_system`.
     """
     return next(_batches(study, Driveline.from_study(study)))[1]
 
 
 def of_system(study: Study) -> Study:
-    """The study without its load's torques and times, backlashes and sweep: with others it has the same system."""
+    """Study without its load's torques and times, its backlashes, title and sweep, which do not change its system."""
     kept = {"on", "profile", WAVES.get(study.load.profile)}
     load = study.load.but(**dict.fromkeys(study.load.model_fields_set - kept))
     lashes = tuple(lash.but(backlash_deg=0.0) for lash in study.lashes)
@@ -43,17 +43,17 @@ def of_system(study: Study) -> Study:
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:
-    """The switched linear systems of a study with other values, and the tables of its method: see `driveline.prepare`.
+    """Switched linear systems of a study with many sets of values, and the tables of its method: `driveline.prepare`.
 
-    Yields batches of those that are alike but for numbers, each with the positions of its drivelines in `values`. The
-    bits of each are those that it has alone.
+    Yields batches of drivelines of the same structure, each with the positions of its drivelines in `values`. The
+    numbers of a driveline are bit for bit those that it has when prepared alone.
 
     Parameters
     ----------
     parameters : of str
-        Dotted keys.
+        Dotted keys of the config.
     values : (D, parameters) float64, in the keys' units
-        Such as a config may hold.
+        A row of values for each driveline, each of which a config may hold.
 
     Raises
     ------
@@ -63,17 +63,17 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     if not values.size:
         return
     places, keys, _ = zip(*(located(study, parameter) for parameter in parameters), strict=True)
-    # what is no spring, damper or friction where it is zero, no gear where it is 1, and whole numbers, make another
-    # kind of driveline
+    # Drivelines differ in structure where one value is zero and another is not (a spring, damper or friction or none),
+    # where one is a ratio of 1 and another is not (no gear or one), and where whole numbers differ.
     is_ratio, is_whole = [place[-1] == "ratio" for place in places], [key.whole for key in keys]
     signs = np.where(is_ratio & (abs(values) == 1.0), 2.0, 1.0) * np.sign(values)
-    kinds = np.where(is_whole, values, signs)
+    structures = np.where(is_whole, values, signs)
     most, count = most_prepared(study), len(values)
     waiting = np.split(np.arange(count), range(most, count, most))  # positions of each batch
     while waiting:
         part = waiting.pop(0)
         try:
-            alike(kinds[part])
+            alike(structures[part])
             first = replace_values(study, dict(zip(parameters, values[part[0]].tolist(), strict=True)))
             line = Driveline.from_study(first, {place: values[part, k] for k, place in enumerate(places)})
             batches = [*_batches(first, line)]
@@ -84,13 +84,13 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
 
 
 def most_prepared(study: Study) -> int:
-    """Most drivelines of a batch of a study's: what they take in memory is bounded, however many flows each has."""
+    """Most drivelines in a batch of a study, so that their memory is bounded however many flows each has."""
     entries = count_of_flows(study) * (2 * len(study.driveline.inertias)) ** 2
     return min(_MEASURED if study.measured else _MOST, max(1, _ENTRIES // entries))
 
 
 def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]:
-    """The batches of a driveline, or of those with other numbers than a study's: of the exact method one."""
+    """Batches of one driveline or of many, with positions: one batch for the exact method, one a driveline for rk4."""
     systems, flows = prepare(study, line)
     systems = systems if line.varied else driveline_at(systems, None)
     batch = Batch(systems, flows, channels_of(study, line, systems) if study.measured else None)

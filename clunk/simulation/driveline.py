@@ -1,6 +1,7 @@
-"""A driveline: inertias joined by linear shafts, to each other, to ground or to neither, with lashes.
+"""A driveline: inertias that shafts and lashes join to each other or to ground, or that are free.
 
-M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing a lash adds a spring and a damper across it (Eq. 2.12).
+M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing a lash adds a spring and a damper across it (Eq. 2.12). Shafts
+are linear or have stages, in each of which they are linear; friction adds a constant torque, or a constraint.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,45 +29,46 @@ from clunk.study.study import Study
 
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
-_SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
+_SIDE_BY_SIDE = 1e-12  # 1 - |cos| of the angle between the twist rows of shafts side by side, at most: rounding
 
 
 class Modes(Record, eq=False):
-    """Oscillating modes of a driveline, lowest frequency first, and the rates of what decays without oscillating."""
+    """Oscillating modes of a driveline, lowest frequency first, and the decay rates of its other modes."""
 
     frequency: FloatArray = told(key="frequency_hz")  # (k,)  Hz, undamped natural frequency |λ|/2π
     damping_ratio: FloatArray = told()  # (k,)  ζ = -Re λ/|λ|
     overdamped: FloatArray = told(key="decay_rate_per_s")  # (m,)  1/s; a rigid-body drift has 0
-    # (k, n)  of each inertia in the mode's kinetic energy, J |θ|² over the sum
+    # (k, n)  share of each inertia in the mode's kinetic energy, J |θ|² over the sum of all
     energy_shares: FloatArray = told(key="kinetic_energy_share")
 
 
 @dataclass(frozen=True, eq=False)
 class Driveline:
-    """The matrices of a driveline; n inertias, S shafts.
+    """The numbers and matrices of a driveline; n inertias, S shafts, L lashes.
 
-    In a batch of drivelines that are alike but for numbers, all numbers have an axis more in front, and so have the
-    matrices; twists have it where gear ratios differ.
+    In a batch of D drivelines of the same structure, numbers and matrices have an axis of D in front; the rows of
+    twists have it only where gear ratios differ.
     """
 
     names: tuple[str, ...]  # (n,)  of the inertias
     inertia: FloatArray  # (n,)  kg m2
     shafts: FloatArray  # (S, n)  twist of each shaft = row · θ
-    shaft_stiffness: FloatArray  # (S,)  N m/rad, of staged shafts that at twist 0
+    shaft_stiffness: FloatArray  # (S,)  N m/rad; of staged shafts the stiffness at twist 0
     shaft_damping: FloatArray  # (S,)  N m s/rad
-    lashes: FloatArray  # (L, n)  q of each = row · θ = θi - ratio θj
-    contact_stiffnesses: FloatArray  # (L,)  N m/rad, of the closed lash: r² k34; 0 of rigid flanks without one
+    lashes: FloatArray  # (L, n)  q of each lash = row · θ = θi - ratio θj
+    contact_stiffnesses: FloatArray  # (L,)  N m/rad, r² k34 of each closed lash; 0 for rigid flanks without stiffness
     contact_dampings: FloatArray  # (L,)  N m s/rad, r² c34
     load: FloatArray  # (n,)  1 at the loaded inertia
-    staged: tuple[tuple[int, StagedShaft], ...]  # shafts with stages, each with its row
-    shaft_friction: FloatArray  # (S,)  N m, or none
-    varied: Varied
+    staged: tuple[tuple[int, StagedShaft], ...]  # shafts with stages, each behind its index in `shafts`
+    shaft_friction: FloatArray  # (S,)  N m, 0 without friction
+    varied: Varied  # the values that differ in a batch; empty for one driveline
 
     @classmethod
     def from_study(cls, study: Study, varied: Varied | None = None) -> "Driveline":
-        """The driveline that a study's config spells out, or a batch of those that have other values of some keys.
+        """Make the driveline of a study's config, or a batch of drivelines with other values of some keys.
 
-        Raises UnlikeError where the drivelines of a batch differ in more than numbers.
+        Raises UnlikeError where the drivelines of a batch differ in structure and not in numbers only, and ClunkError
+        where rigid lashes are in a ring or side by side.
         """
         n, shafts, lashes, varied = len(study.driveline.inertias), study.driveline.shafts, study.lashes, varied or {}
         of_shafts, of_lashes = [("driveline", "shafts", k) for k in range(len(shafts))], study.lash_places
@@ -83,7 +85,7 @@ class Driveline:
             if shaft.breakpoints_deg
         )
         stiffness = _numbers(varied, of_shafts, [shaft.stages[0] for shaft in shafts], "stiffness")
-        for k, each in staged:  # at a breakpoint, the stage above
+        for k, each in staged:  # where a breakpoint is at twist 0, the stiffness of the stage above it
             stiffness[..., k] = each.stiffness[..., np.count_nonzero(alike(each.breakpoints <= 0.0))]
         radii = _numbers(varied, of_lashes, [lash.radius for lash in lashes], "radius")
         stiffnesses, dampings = (
@@ -107,9 +109,9 @@ class Driveline:
         )
 
     def matrices(self, *, closed: bool | Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Damping and stiffness, (n, n) each, with the springs and dampers of closed lashes: of all, none, or some.
+        """Damping [N m s/rad] and stiffness [N m/rad], (n, n) each, with the dampers and springs of closed lashes.
 
-        closed : (L,), whether each is, or one for all
+        closed : (L,), whether each lash is closed, or one value for all lashes
         """
         damping, stiffness = (
             (self.shafts.mT * sizes[..., None, :]) @ self.shafts for sizes in (self.shaft_damping, self.shaft_stiffness)
@@ -122,7 +124,7 @@ class Driveline:
 
     @cached_property
     def frictions(self) -> tuple[tuple[Friction, FloatArray], ...]:
-        """The frictions, those side by side as one, each with the share that every shaft has in it, (S,)."""
+        """Frictions, each with the share of every shaft in its torque, (S,); shafts side by side have one together."""
         frictions = []
         units = self.shafts / np.maximum(np.linalg.norm(self.shafts, axis=-1, keepdims=True), 1e-300)
         rest = self.shaft_friction.copy()
@@ -147,7 +149,7 @@ class Driveline:
         return alike(springs)
 
     def in_stages(self, stages: tuple[int, ...]) -> "Driveline":
-        """The driveline whose staged shafts have the stiffness of these stages for every twist."""
+        """The driveline whose staged shafts have the stiffness of the given stages, counted from 0, at every twist."""
         if not self.staged:
             return self
         stiffness = self.shaft_stiffness.copy()
@@ -169,35 +171,35 @@ class Driveline:
 
     @cached_property
     def rigid_motion(self) -> RigidMotion:
-        """The rigid-body motion with the lashes closed, and what the load keeps up of it."""
+        """Rigid-body motion with the lashes closed, and its speed or acceleration under a load of 1 N m."""
         springs = np.concatenate([self.shafts[..., self.is_spring, :], self.lashes], axis=-2)
         dampers = np.sqrt(self.shaft_damping)[..., None] * self.shafts
         return rigid.steady_motion(self.inertia, springs, dampers, self.load)
 
     @property
     def contact_periods(self) -> FloatArray:
-        """(L,) T_c = 2π sqrt(J_red/k), of the two inertias at a lash in series, or the one at a lash to ground  [s].
+        """(L,) contact periods T_c = 2π sqrt(J_red/k)  [s]; 0 for rigid flanks without stiffness.
 
-        0 of rigid flanks without stiffness.
+        J_red is that of the two inertias at a lash in series, or the one inertia at a lash to ground.
         """
         mobility = np.sum(self.lashes**2 / self.inertia[..., None, :], axis=-1)
         rates = np.sqrt(self.contact_stiffnesses * mobility)
         return np.divide(2.0 * np.pi, rates, out=np.zeros_like(rates), where=rates > 0.0)
 
     def modes(self, *, closed: bool) -> Modes:
-        """Natural frequencies and damping ratios with all lashes closed or open; without stiffness they are locked."""
-        rigid = closed & (self.contact_stiffnesses == 0.0)
-        ties = constrained(self.lashes, rigid)
+        """Modes with all lashes closed, or all open; closed lashes without contact stiffness are locked."""
+        is_locked = closed & (self.contact_stiffnesses == 0.0)
+        ties = constrained(self.lashes, is_locked)
         damping, stiffness = self.matrices(closed=closed)
         rates = locked(chain(self.inertia, damping, stiffness), self.inertia, ties.expand)
-        every, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
-        order, springs = abs(every).argsort(), np.concatenate([stiffness, self.lashes[rigid]])
-        # what no spring holds does not come back, and what no damper holds either keeps its speed: found to half the
-        # digits of the fastest mode, as a double zero
+        eigenvalues, vectors = np.linalg.eig(ties.pick @ rates @ ties.expand)
+        order, springs = abs(eigenvalues).argsort(), np.concatenate([stiffness, self.lashes[is_locked]])
+        # Set eigenvalues that are zero to exactly that: one for a motion that no spring holds, and two if no damper
+        # holds it either. Such a double zero is computed to half the digits of the fastest mode only.
         held = [np.linalg.matrix_rank(rows) for rows in (springs, np.concatenate([springs, damping]))]
-        every[order[: 2 * self.inertia.size - sum(held)]] = 0.0
-        order = order[every[order].imag > 0.0]
-        oscillating, monotone = every[order], every[every.imag == 0.0]
+        eigenvalues[order[: 2 * self.inertia.size - sum(held)]] = 0.0
+        order = order[eigenvalues[order].imag > 0.0]
+        oscillating, monotone = eigenvalues[order], eigenvalues[eigenvalues.imag == 0.0]
         shapes = (ties.expand @ vectors)[: self.inertia.size, order].T
         energy = self.inertia * abs(shapes) ** 2
         return Modes(
@@ -209,16 +211,16 @@ class Driveline:
 
 
 def prepare(study: Study, driveline: Driveline) -> tuple[System, Flows]:
-    """The switched linear system of a study, and the modes of its flows: ready to run by the exact method.
+    """The switched linear system of a study, and the tables of its flows, of which rk4 makes its steps.
 
-    driveline : the study's, or one with other numbers; a batch makes a batch of systems and tables
+    driveline : the study's driveline, or one with other numbers; for a batch, system and tables are those of a batch
     """
     system = build(study, driveline, ramps=study.solver.method == "exact")
     return system, _flows(study, driveline, system)
 
 
 def explained(study: Study, status: Status) -> str:
-    """Phrase on why runs of a study have a status, which names the part of the driveline that is to blame."""
+    """Phrase on why runs of a study fail with a status; it names the part of the driveline that causes this."""
     if status == Status.NO_INITIAL_FLANK and len(study.lashes) > 1:
         before, _ = run_load(study)
         carried = build(study).contact_torque[0, :, : before.size] @ before
@@ -248,10 +250,10 @@ def explained(study: Study, status: Status) -> str:
 
 
 def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = False) -> System:
-    """The switched linear system of a study, with two states more for the wave of a load that has one.
+    """The switched linear system of a study, with two further states for the wave of a load that has one.
 
-    driveline : with other numbers than the study's, or a batch
-    ramps : whether a torque that rises at a constant rate is an input, as for the exact method, and no wave
+    driveline : a driveline with other numbers than the study's, or a batch; by default the study's
+    ramps : whether a torque that changes at a constant rate is an input (exact method); otherwise it is a wave (rk4)
     """
     driveline = driveline or Driveline.from_study(study)
     rates = wave_rates(study.load, driveline.varied)
@@ -275,10 +277,10 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
 
 
 def _core_lashes(study: Study, driveline: Driveline) -> Lashes:
-    """The lashes as the core has them."""
+    """The lashes of a study and their contacts, as the `Lashes` of the core."""
     contacts, varied, periods = [lash.contact for lash in study.lashes], driveline.varied, driveline.contact_periods
     numbers = partial(_numbers, varied, study.lash_places)
-    are_rigid = study.has_rigid_flanks  # whose locked state itself is sticking
+    are_rigid = study.has_rigid_flanks  # their locked state counts as sticking at once: the sticking time is 0
     sticking = 0.0 if are_rigid else varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
     return Lashes(
         twists=driveline.lashes,
@@ -294,7 +296,7 @@ def _core_lashes(study: Study, driveline: Driveline) -> Lashes:
 
 
 def _chains(study: Study, driveline: Driveline) -> dict[FlowOf, tuple[FloatArray, FloatArray]]:
-    """Damping and stiffness in each flow, without its constraints."""
+    """Damping and stiffness matrices in each flow, before its constraints are applied."""
 
     @cache
     def matrices_of(stages: tuple[int, ...], closed: tuple[int, ...] | bool) -> tuple[FloatArray, FloatArray]:
@@ -304,20 +306,21 @@ def _chains(study: Study, driveline: Driveline) -> dict[FlowOf, tuple[FloatArray
 
 
 def _in_contact(study: Study, flow: FlowOf) -> tuple[int, ...] | bool:
-    """Whether each lash, or none, is a spring and a damper in a flow: rigid flanks are not."""
+    """Whether each lash acts as a spring and a damper in a flow; False where flanks are rigid."""
     return False if study.has_rigid_flanks else flow.closed
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
-    """Tables of each flow, from its matrices in the angles that its ties leave free.
+    """Tables of each flow, from its matrices in the angles that its constraints (ties) leave free.
 
-    They are made of twists in these angles: of one that is held nothing is left, where a product of matrices leaves
-    rounding of the stiffest spring, by which a part that nothing holds would come back.
+    These matrices are computed from the twists in the free angles, in which a twist that a constraint holds is exactly
+    zero. Reducing the full matrices instead would leave rounding of the stiffest spring: a spurious stiffness on parts
+    that nothing holds.
     """
     n, inertia = driveline.inertia.shape[-1], np.atleast_2d(driveline.inertia)
     rubbing, chains = [friction.twist[..., None, :] for friction, _ in driveline.frictions], []
     twists = np.concatenate([driveline.lashes, *rubbing], axis=-2)
-    ties_of, line_in = cache(partial(constrained, twists)), cache(driveline.in_stages)  # the same in many flows
+    ties_of, line_in = cache(partial(constrained, twists)), cache(driveline.in_stages)  # many flows share them
     joints = np.concatenate([driveline.shafts, twists], axis=-2)
     parts_of = cache(lambda *some: rigid.rigid_motions(joints[..., some, :]))
     for flow, of_flow in _chains(study, driveline).items():
@@ -328,14 +331,14 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
             parts = parts_of(*np.flatnonzero([*line.is_spring, *closed, *stuck]))
         ties = ties_of((*(system.impulsive * lash for lash in closed), *stuck))
         left = ties.expand.shape[-1] // 2
-        if left < n:  # each row of the basis has one entry at most: its inertias stay diagonal
+        if left < n:  # each row of the basis has one entry at most, so that the inertia matrix stays diagonal
             basis, parts = ties.expand[..., :n, :left], ties.pick[..., :left, :n] @ parts
             inertias = (inertia[..., None, :] @ basis**2)[..., 0, :]
             line = replace(line, shafts=product(line.shafts, basis), lashes=product(line.lashes, basis))
             matrices = line.matrices(closed=_in_contact(study, flow))
         chains.append(Chain(inertias, *matrices, *ties, parts))
     system = system if driveline.varied else driveline_at(system, None)
-    # no ramp that is no input
+    # leave out the wave states in which rk4 has a ramp; those of a profile with a wave stay
     states = slice(system.rates.shape[-1] if study.load.profile in WAVES else 2 * system.inertias)
     system = system._replace(
         rates=system.rates[..., states, states],
@@ -348,7 +351,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
 
 
 def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Chain]]:
-    """A driveline that rolls, with angles and speeds less what they have rolled by, see `regimes.rolling_apart`."""
+    """System and chains of a driveline that rolls, in angles and speeds less their rolling: `regimes.rolling_apart`."""
     n, size = system.inertias, system.rates.shape[-1]
     apart, together = (matrix[..., None, :, :] for matrix in rolling_apart(system, size))
     system = system._replace(
@@ -364,7 +367,7 @@ def _rolling_apart(system: System, chains: list[Chain]) -> tuple[System, list[Ch
 
 
 def held_inputs(driveline: Driveline, system: System) -> list[int]:
-    """The inputs of a system that are twists at which constraints hold: those of each lash and of each friction."""
+    """Inputs that are twists held by constraints: the half gap of each lash, the sticking twist of each friction."""
     inputs = system.inputs.shape[-1]
     return [
         *map(half_gap_of, range(driveline.lashes.shape[-2])),
@@ -373,7 +376,7 @@ def held_inputs(driveline: Driveline, system: System) -> list[int]:
 
 
 def stages_of(driveline: Driveline) -> list[tuple[int, ...]]:
-    """The combinations of stages, one for each shaft, in the order in which regimes have them."""
+    """All combinations of one stage, counted from 0, of each staged shaft, in the order of regimes."""
     return combinations([shaft.stiffness.shape[-1] for _, shaft in driveline.staged])
 
 
@@ -400,22 +403,26 @@ def steady_stages(study: Study) -> dict[int, int]:
 
 
 def steady_driveline(study: Study) -> Driveline:
-    """The driveline in the stages of its steady motion before the load step, for linear views of it."""
+    """The linear driveline that has the stages of the steady motion before the load step, for modes and the like."""
     return Driveline.from_study(study).in_stages(tuple(stage - 1 for stage in steady_stages(study).values()))
 
 
 def steps_a_period(study: Study) -> float:
-    """Solver steps in a period of the fastest oscillation; infinite where nothing oscillates.
+    """Number of solver steps in a period of the fastest oscillation; infinite where nothing oscillates.
 
-    RK4 is stable down to about 2 to 3, but below about 10 it damps the contact's own oscillation, and weak rebounds
-    are lost. The restitution model has no such oscillation.
+    RK4 is stable down to about 2 to 3 steps a period. Below about 10, it damps the oscillation of the contact spring,
+    so that weak rebounds are lost. The restitution model has no such oscillation.
     """
     fastest = abs(np.linalg.eigvals(build(study).rates).imag).max()
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
 
 
 def _numbers(varied: Varied, places: Sequence[Place], own: Sequence[float], *key: str) -> FloatArray:
-    """(…, m) the numbers at some places of a config: a study's own, or in a batch those of each driveline."""
+    """Numbers at m places of a config: those of the study, (m,), or in a batch those of each driveline, (D, m).
+
+    own : (m,), the study's numbers
+    key : what follows a place in the full key, such as contact, stiffness
+    """
     numbers = np.tile(np.asarray(own, np.float64), (*next((each.shape for each in varied.values()), ()), 1))
     for k, place in enumerate(places):
         numbers[..., k] = varied.get((*place, *key), numbers[..., k])
@@ -427,12 +434,12 @@ def _staged(varied: Varied, place: Place, shaft: Shaft, twist: FloatArray) -> St
         _numbers(varied, [(*place, key, k) for k in range(len(own))], own)
         for key, own in (("stiffness", shaft.stages), ("breakpoints_deg", shaft.breakpoints_deg or ()))
     )
-    alike(np.diff(breakpoints) > 0.0)  # values that cross are no others' like, and refused alone
+    alike(np.diff(breakpoints) > 0.0)  # where breakpoints cross, split the batch: such drivelines are refused alone
     return StagedShaft(twist, stages, np.deg2rad(breakpoints))
 
 
 def _incidence(varied: Varied, places: Sequence[Place], joints: Sequence[Shaft | Lash], n: int) -> FloatArray:
-    """(…, joints, n) twist = row · θ, 1 at the first end and minus the ratio at the second, nothing at ground."""
+    """Rows of twist = row · θ, (…, joints, n): 1 at the first end, minus the ratio at the second, none at ground."""
     differ = any(place[-1] == "ratio" for place in varied)
     ratios = _numbers(varied if differ else {}, places, [each.ratio for each in joints], "ratio")
     rows = np.zeros((*ratios.shape, n))

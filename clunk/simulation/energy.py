@@ -2,10 +2,12 @@
 
     stored before + work of the load = stored after + damped + lost at impacts + left at separations - regained
 
-Every term is computed by itself and none is the difference of the others, so that the residual tests the run: how far
-the state recorded at each event is from where the exact flow takes the one recorded before it. Within a stretch of a
-phase, under one piece of the load, y = x' = (θ', θ'', w') obeys y' = A y. A damper takes c ∫ (row · y)² dt, a quadratic
-form in y at the stretch's start, and the work of the load's wave w, ∫ w θ' dt, is such a form in (y, w).
+Every term is computed by itself and none is the difference of the others, so that the residual tests the run: it shows
+how far the state recorded at each event is from where the exact flow takes the state recorded at the event before.
+
+Within a stretch of a phase, under one piece of the load, y = x' = (θ', θ'', w') obeys y' = A y. A damper takes
+c ∫ (row · y)² dt, which is a quadratic form in y at the stretch's start. The work of the load's wave w, ∫ w θ' dt, is a
+quadratic form in (y, w) there.
 """
 
 import math
@@ -25,11 +27,11 @@ from clunk.study.records import Record, tells, told
 class EnergyBalance(Record, repr=False):
     """Stored, supplied and lost energies of a run, from the load step to its end  [J]; S shafts.
 
-    stored_before, stored_after : kinetic, in the shafts' springs, and in the indented flanks of the indentation model
-    damped_in_shafts, rubbed_in_shafts : (S,) taken by dampers, and by friction
-    lost_at_impacts : of the restitution model
-    dropped : left in flanks that overlap as they part, of separation by force
-    regained : of that found again where such flanks rejoin before they have opened
+    stored_before, stored_after : kinetic energy, and energy of the shafts' springs and of indented flanks (indentation)
+    damped_in_shafts, rubbed_in_shafts : (S,) taken by the dampers, and by the friction, of each shaft
+    lost_at_impacts : lost at touches of rigid flanks (restitution); otherwise 0
+    dropped : left in flanks that still overlap as they part (separation by force); otherwise 0
+    regained : part of `dropped` that is there again where such flanks rejoin before their gap opens
     """
 
     work: float = told("work of the load", "J")
@@ -73,7 +75,7 @@ class EnergyBalance(Record, repr=False):
 
     @property
     def _terms(self) -> tuple[float, ...]:
-        """Sources, and sinks with the other sign  [J]."""
+        """Sources, and sinks with a minus sign  [J]."""
         sinks = self.stored_after, self.damped, self.rubbed, self.lost_at_impacts, self.dropped
         return (self.stored_before, self.work, self.regained, *(-sink for sink in sinks))
 
@@ -82,14 +84,14 @@ class EnergyBalance(Record, repr=False):
 def balance(trajectory: Trajectory) -> EnergyBalance:
     """The energy balance of a run, from the states recorded at its events.
 
-    In separation by force the contact torque has fallen to zero where the flanks part, but they still overlap. The
-    spring's energy there is no longer stored, and turns into heat in the flanks; where they rejoin, the spring is taken
-    as indented as they overlap then. In separation by gap the flanks part as they touched, at zero indentation; the
-    contact torque that jumps there is the damper's, which stores nothing.
+    With separation by force, the flanks part where the contact torque falls to zero, and they still overlap there. The
+    energy of the contact spring is then no longer stored, and turns into heat in the flanks. Where the flanks rejoin,
+    the spring is taken to be as indented as they overlap then. With separation by gap, the flanks part at zero
+    indentation, as they touch; the contact torque that jumps there is that of the damper, which stores no energy.
 
-    A term beyond the range of numbers is infinite or NaN.
+    A term beyond the range of floating-point numbers is infinite or NaN.
     """
-    from scipy.linalg import block_diag  # see `phases._series`
+    from scipy.linalg import block_diag  # here, as importing scipy.linalg takes long, see `phases._series`
 
     study, events, states = trajectory.study, trajectory.phases, trajectory.phase_states
     line, system = Driveline.from_study(study), build(study)
@@ -113,7 +115,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     ]
     torques = [twist - 1 for twist in held_inputs(line, system)[len(line.lashes) :]]
     size, wave = system.rates.shape[1], slice(2 * n, None)
-    forms = np.zeros((len(rows) + 1, 2 * size - 2 * n, 2 * size - 2 * n))  # F of each damper, and of the load's wave
+    forms = np.zeros((len(rows) + 1, 2 * size - 2 * n, 2 * size - 2 * n))  # F of each damper, last of the wave
     forms[:-1, :n, :n] = rows[:, :, None] * rows[:, None, :]
     forms[-1, :n, size : size + 1] = line.load[:, None] / 2.0
     forms[-1] += forms[-1].T
@@ -132,9 +134,9 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     lost = 0.0
     if impulsive:
         touches, bits = np.flatnonzero(events["kind"] == TOUCH), 1 << np.arange(len(line.lashes))
-        # touches behind one another with one state are one impact of several lashes
-        alone = (np.diff(touches) > 1) | (states[touches[1:]] != states[touches[:-1]]).any(axis=1)
-        for impact in np.split(touches, np.flatnonzero(alone) + 1) if touches.size else ():
+        # successive touches with the same state are one impact of several lashes
+        is_new_impact = (np.diff(touches) > 1) | (states[touches[1:]] != states[touches[:-1]]).any(axis=1)
+        for impact in np.split(touches, np.flatnonzero(is_new_impact) + 1) if touches.size else ():
             struck = events["lash"][impact]
             together = system.contacts["closed"][events["regime"][impact[:1]]] @ bits + bits[struck].sum()
             passed = system.passed[(together - bits[struck])[:, None], struck[:, None], struck]

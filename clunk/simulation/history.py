@@ -1,7 +1,7 @@
 """Time histories: the motion between the events of a run, sampled for figures and for other programs.
 
-Every phase starts from the state that the run recorded at its event; nothing is integrated again and no event is
-searched again.
+Every phase starts from the state that the run recorded at its event and follows the exact flow from there: no step of
+the run is integrated again, and no event is searched for again.
 """
 
 import math
@@ -25,15 +25,15 @@ from clunk.study.arrays import Bools, Flanks, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 
-_DRAWN = 100_000  # samples; of more a picture shows nothing
-LARGEST = 10_000_000  # samples; of the nominal driveline about 1.3 GB
+_DRAWN = 100_000  # samples: a picture would not show more
+LARGEST = 10_000_000  # samples, at most: about 1.3 GB for the nominal driveline
 
-_NEAR = 1e-6  # of a step: a sample this near to an event would only repeat it
-_FAINT = 0.125  # of the first swing: what is left of the slowest oscillation where a picture may end
+_NEAR = 1e-6  # of a step: a sample this near to an event would only repeat the event's rows, and is left out
+_FAINT = 0.125  # share of its first swing to which the slowest oscillation has decayed where a picture may end
 
 
 class Touches(NamedTuple):
-    """The touches within a history, in order; E of them."""
+    """The E touches of one lash within a history, in order."""
 
     row: Positions  # (E,) rows of the history
     side: Integers  # (E,) sign of q at the flank
@@ -46,32 +46,32 @@ class Impact(NamedTuple):
     number: int  # from 1
     severity: float  # Q_i, rad/s2; NaN where it is not defined
     begin: float  # s, on the history's time axis
-    end: float  # likewise; inf for the last one
-    largest: float  # rad/s2; NaN of rigid flanks
-    smallest: float  # likewise
+    end: float  # s, on the same axis; inf for the last impact
+    largest: float  # rad/s2, of the accelerations; NaN for rigid flanks
+    smallest: float  # rad/s2; NaN for rigid flanks
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """A run at M samples: multiples of an output step from the load step, both ends, and every event.
+    """A run at M samples: at multiples of an output step from the load step, at both ends, and at every event.
 
-    An event has two rows of the same time, its limits from before and from after, since accelerations jump there, and
-    in the restitution model velocities; `event` tells the second. So have kinks of the load, without an event. Of
-    events at one time, only the first has a row before.
+    An event has two rows of the same time, its left and its right limit, since accelerations jump there, and in the
+    restitution model velocities, too; `event` marks the row of the right limit. Kinks of the load and changes of stage
+    have two rows as well, without a mark. Of several events at one time, only the first has a row of its left limit.
     """
 
     name: str  # for legends
     trajectory: Trajectory
     time: Floats  # (M,)  s, the load step at the config's load.step_time
     after_step: Floats  # (M,)  s, the load step at 0
-    angle: Floats  # (M, n)  rad, θ; of a driveline that rolls, rolling angle and all
+    angle: Floats  # (M, n)  rad, θ; includes the rolling angle of a driveline that rolls
     velocity: Floats  # (M, n)  rad/s, θ'
     acceleration: Floats  # (M, n)  rad/s2, θ''; without the impulses of the restitution model
     torque: Floats  # (M,)  N m, the load
     backlash_coordinates: Floats  # (M, L)  m, x_b = r q of each lash
-    contacts: Flanks  # (M, L)  the flank of each that presses: -1 initial, +1 opposite, 0 none
+    contacts: Flanks  # (M, L)  the flank of each lash that is in contact: -1 initial, +1 opposite, 0 none
     contact_torques: Floats  # (M, L)  N m, across each lash, signed like q; without the impulses of restitution
-    event: Integers  # (M,)  the row's index in the trajectory's events, -1 where there is none
+    event: Integers  # (M,)  index in the trajectory's events of the one whose right limit the row is; -1 for no event
 
     @property
     def study(self) -> Study:
@@ -80,7 +80,7 @@ class History:
 
     @property
     def lashes(self) -> tuple["History", ...]:
-        """The history with the backlash, contact, touches and impacts of each lash."""
+        """One history for each lash, whose backlash, contact, touches and impacts are those of that lash."""
         return tuple(replace(self, trajectory=each) for each in self.trajectory.lashes)
 
     @property
@@ -106,7 +106,10 @@ class History:
 
     @cached_property
     def twist(self) -> Floats:
-        """(M, n) the angles less the rigid-body motion with their momentum; all of θ if springs hold the driveline."""
+        """(M, n) angles less their rigid-body part  [rad]; θ itself if springs hold the driveline.
+
+        The rigid-body part is the projection of θ on the rigid-body motion, weighted by inertia.
+        """
         driveline = Driveline.from_study(self.study)
         shape = driveline.rigid_motion.shape
         if not shape.size:
@@ -117,7 +120,7 @@ class History:
 
     @cached_property
     def touches(self) -> Touches:
-        """The touches within the history."""
+        """The touches of the lash within the history."""
         events = self.trajectory.events
         row = np.flatnonzero(self.event >= 0)
         happened = events[self.event[row]]
@@ -150,22 +153,23 @@ def sample(
     until: float | None = None,
     name: str | None = None,
 ) -> History:
-    """The motion of a run at evenly spaced times and at its events, from time 0 on.
+    """Sample the motion of a run at evenly spaced times and at its events, from time 0 of the study on.
 
     Parameters
     ----------
     trajectory : Trajectory
     step : float, optional  [s]
-        Between samples; by default the solver's step, or longer where that makes more than 100,000.
+        Time between samples; by default the solver's step, or longer where that makes more than 100,000 samples.
     until : float, optional  [s]
-        On the axis of `History.time`, after the load step; by default the run's end time. A run of which it is proved
-        that nothing follows may be sampled for longer than it was computed.
+        End of the history, on the axis of `History.time` and after the load step; by default the study's end time. A
+        complete run, of which it is proved that nothing follows, may be sampled beyond the end of its computation.
     name : str, optional
-        For legends; by default the study's title.
+        The name for legends; by default the study's title.
 
     Raises
     ------
     ClunkError
+        Where `until` is not after the load step, `step` is not positive, or there are more than 10,000,000 samples.
     """
     study, system = trajectory.study, build(trajectory.study)
     inputs_before, load = run_load(study)
@@ -193,7 +197,7 @@ def sample(
     columns = zip(*((phase.time, phase.state, *phase.observed(line, system)) for phase in phases), strict=True)
     after_step, state, acceleration, torque, contacts, contact_torques = (np.concatenate(column) for column in columns)
     lengths, n = [phase.time.size for phase in phases], system.inertias
-    acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
+    acceleration[: lengths[0]] = gains  # constant in steady motion; computed from the state it has rounding
     event = np.full(after_step.size, -1)
     event[np.cumsum([0, *lengths[:-1]])] = [phase.event for phase in phases]
     angle, velocity = state[:, :n], state[:, n : 2 * n]
@@ -217,8 +221,9 @@ def sample(
 def shown_until(trajectory: Trajectory) -> float:
     """End of a picture of the run, on the axis of `History.time`  [s].
 
-    Half as long again as its events last and not before its slowest oscillation in contact has died down, rounded up to
-    0.1 s; but at the run's end time at the latest, and where nothing happens.
+    A picture lasts one and a half times as long as the events, and until the slowest oscillation in contact has decayed
+    to `_FAINT` of its first swing; its end is rounded up to 0.1 s. It ends at the study's end time at the latest, and
+    there, too, if the run has neither events nor an oscillation in contact.
     """
     study = trajectory.study
     modes = steady_driveline(study).modes(closed=True)
@@ -233,15 +238,15 @@ def shown_until(trajectory: Trajectory) -> float:
 
 
 class _Phase(NamedTuple):
-    """Samples of the motion in a regime, from an event, a kink of the load, or the start of the history to the next."""
+    """Samples of the motion in a stretch: one regime under one piece of the load; m samples, N states."""
 
     time: Floats  # (m,)  s after the load step
     state: Floats  # (m, N)  rad, rad/s, and the load's wave
     regime: Regime
-    event: int  # that the phase begins with, or -1
+    event: int  # index of the event that the phase begins with, or -1
 
     def observed(self, line: Driveline, system: System) -> tuple[Floats, Floats, Integers, Floats]:
-        """Accelerations, load, contacts as sides of q, and contact torques of the samples, as of `History`."""
+        """Accelerations, load, sides of q in contact, and contact torques at the samples, in the units of `History`."""
         state, regime, n = self.state, self.regime, system.inertias
         contact_torques = np.zeros((len(state), regime.closed.size))
         for lash in np.flatnonzero(regime.closed).tolist():
@@ -256,7 +261,7 @@ class _Phase(NamedTuple):
 def _before_load_step(
     trajectory: Trajectory, system: System, inputs: Floats, acceleration: Floats, begin: float, step: float
 ) -> _Phase:
-    """The steady motion before the load step, with its constant acceleration, (n,)  [rad/s2]."""
+    """Samples of the steady motion before the load step, at a constant acceleration, (n,)  [rad/s2]."""
     time = np.concatenate(([begin] if begin < 0.0 else [], _grid(begin, 0.0, step) * step, [0.0]))
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
@@ -267,9 +272,10 @@ def _before_load_step(
 def _after_event(
     trajectory: Trajectory, system: System, before: Floats, load: Floats, k: int, end: float, step: float
 ) -> Iterator[_Phase]:
-    """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches.
+    """Samples from the right limit of entry `k` in the run's phases to the left limit of the next, or to `end`.
 
-    A regime that lasts no time is none, where another one that no event begins follows it.
+    Yields a phase for each stretch. An entry whose regime lasts no time yields nothing where a change of stage follows
+    it; the phase that follows then begins with its event.
     """
     phases, recorded = trajectory.phases, trajectory.phase_states
     starts, is_event, number = phases["time"], phases["kind"] != STAGE, phases["regime"][k]
@@ -300,5 +306,5 @@ def _after_event(
 
 
 def _grid(start: float, stop: float, step: float) -> Integers:
-    """The multiples of a step between two times, neither of them included."""
+    """Integers m for which m times the step is between two times, further than `_NEAR` of a step from either."""
     return np.arange(math.floor(start / step + _NEAR) + 1, math.ceil(stop / step - _NEAR))

@@ -1,4 +1,4 @@
-"""The load: a steady torque until the load step, and from then on a profile, piece by piece."""
+"""The load: a steady torque until the load step, and from then on a profile that consists of pieces."""
 
 from collections.abc import Mapping
 from itertools import chain
@@ -18,18 +18,18 @@ from clunk.study.study import Study
 
 Numbers = float | Floats
 
-# s; a duration or time constant below it counts as 0: of a slope so steep rounding would move events by more
+# s; a shorter duration or time constant counts as 0: on so steep a slope, rounding would move events by more than this
 _SHORTEST = 1e-9
 
 
 def loads_of(load: Load, count: int, **swept: Numbers) -> tuple[Floats, Floats]:
     """Torques on the loaded inertia in `count` runs.
 
-    Returns that before the load step, (count,)  [N m], and the pieces after it, (1 or count, P, PIECE), see
-    `clunk.core.runs`; one row where they are the same in all runs.
+    Returns the torque before the load step, (count,)  [N m], and the pieces of the load after it, (1 or count, P,
+    PIECE), see `clunk.core.runs`; they have one row where they are the same in all runs.
 
-    `swept` values, (count,) each or one for all, take the place of the config's own under the names of its keys,
-    ``torques[n]`` and ``durations[n]`` among them; those that the profile does not use make no difference.
+    `swept` values, (count,) each or one for all, replace those of the config's keys with the same names,
+    ``torques[n]`` and ``durations[n]`` among them; values that the profile does not use make no difference.
     """
     values = dict(load) | swept
     before: Numbers
@@ -46,7 +46,7 @@ def loads_of(load: Load, count: int, **swept: Numbers) -> tuple[Floats, Floats]:
 
 
 def _entries(values: Mapping[str, Any], key: str, count: int) -> Floats:
-    """(1 or count, P): a list of the config, in each run if any of its items is swept."""
+    """Values of a list in the config: for each run, (count, P), if any of its items is swept, else (1, P)."""
     swept = [name for name in values if name.startswith(f"{key}[")]
     entries = np.array(values[key], dtype=np.float64)[np.newaxis].repeat(count if swept else 1, axis=0)
     for name in swept:
@@ -55,9 +55,12 @@ def _entries(values: Mapping[str, Any], key: str, count: int) -> Floats:
 
 
 def _lines(times: Floats, torques: Floats) -> Floats:
-    """(rows, P, PIECE): straight lines between points in time; two at the same time are a jump."""
+    """Pieces, (rows, P, PIECE), of straight lines between points in time; two points at the same time are a jump.
+
+    Raises ConfigError where the times of a row decrease.
+    """
     times, torques = np.broadcast_arrays(times, torques)
-    if (np.diff(times) < 0.0).any():  # of points, whose values were looked at one by one
+    if (np.diff(times) < 0.0).any():  # where swept, times have been checked one by one only
         raise ConfigError("load.times decrease in one of the runs.")
     pieces = np.zeros((*times.shape, PIECE))
     pieces[..., BEGIN], pieces[..., LEVEL] = times, torques
@@ -66,7 +69,7 @@ def _lines(times: Floats, torques: Floats) -> Floats:
 
 
 def _held(durations: Floats, torques: Floats, rest: Floats) -> Floats:
-    """(rows, P + 1, PIECE): each torque held for its duration, (rows, P), and then `rest`, (rows, 1)."""
+    """Pieces, (rows, P + 1, PIECE), that hold each torque for its duration, (rows, P), and then `rest`, (rows, 1)."""
     begins = np.pad(durations, ((0, 0), (1, 0))).cumsum(axis=1)
     pieces = np.zeros((max(len(begins), len(torques), len(rest)), begins.shape[1], PIECE))
     pieces[..., BEGIN], pieces[:, :-1, LEVEL], pieces[:, -1:, LEVEL] = begins, torques, rest
@@ -105,22 +108,22 @@ def _span(time: Numbers) -> Floats:
 
 
 def _divisor(time: Floats) -> Floats:
-    """Times as divisors, infinite where they count as 0."""
+    """Times to divide by, infinite where they count as 0: the quotient, a rate, is then 0."""
     return np.where(time < _SHORTEST, np.inf, time)
 
 
 def _rows(*pieces: tuple[Numbers, ...]) -> Floats:
-    """(rows, P, PIECE): the columns of pieces, broadcast against each other; one row if all are numbers."""
+    """Pieces, (rows, P, PIECE), from the columns of each, broadcast against each other; one row if all are numbers."""
     return np.stack(np.broadcast_arrays(*chain(*pieces)), axis=-1).reshape(-1, len(pieces), PIECE)
 
 
-WAVES = {"smooth": "duration", "lag": "time_constant", "sine": "frequency"}  # profile -> key of how fast it moves
+WAVES = {"smooth": "duration", "lag": "time_constant", "sine": "frequency"}  # profile -> key of the wave's rate
 
 
 def wave_rates(load: Load, varied: Mapping[Place, Floats]) -> Floats | None:
-    """The matrix S of w' = S w, (2, 2)  [1/s]; None where the profile has no wave.
+    """The matrix S of a load's wave, w' = S w, (2, 2)  [1/s]; None where the profile has no wave.
 
-    varied : other values of keys, of a batch; S is (D, 2, 2) then, where its key is among them
+    varied : values of keys that differ in a batch of D drivelines; S is (D, 2, 2) if the key of its rate is one of them
     """
     if load.profile not in WAVES:
         return None
@@ -138,7 +141,7 @@ def wave_rates(load: Load, varied: Mapping[Place, Floats]) -> Floats | None:
 
 
 def cases_of(study: Study, values: Mapping[str, Numbers] = MappingProxyType({}), count: int = 1) -> Cases:
-    """Torques and gaps of `count` runs with these values of parameters, (count,) each or one for all."""
+    """Torques and gaps of `count` runs with these values of parameters, (count,) each or one for all runs."""
     swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
     torque, pieces = loads_of(study.load, count, **swept)
     before = np.zeros((count, INPUTS + len(study.lashes) - 1))

@@ -1,4 +1,4 @@
-"""What is measured of a driveline in a study's runs, as channels."""
+"""Channels of a study: the quantities that its runs measure, linear in state and inputs, tabulated for each flow."""
 
 import numpy as np
 
@@ -10,18 +10,18 @@ from clunk.study.arrays import Floats
 from clunk.study.models import part_of
 from clunk.study.study import Study
 
-_STEP = 1.4  # of 1/rate: the next term is 1.4^20/20! = 3e-16
+_STEP = 1.4  # shortest step times the fastest rate |λ|: the first term left out is 1.4^20/20! = 3e-16
 
 
 def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
-    """The channels of a study's measures.
+    """Channels of a study: contact torque and closing speed of each lash, and behind them the study's measures.
 
     Parameters
     ----------
     line : Driveline
-        Of the study, or a batch of D that have other numbers.
+        The study's driveline, or a batch of D drivelines with other numbers.
     systems : System
-        Of them, as in `clunk.core.tile.Batch`.
+        The systems of these drivelines, with an axis of D (or 1) in front, as in `clunk.core.tile.Batch`.
     """
     n, lashes = systems.inertias, line.lashes.shape[-2]
     count, _, size, driven = systems.inputs.shape
@@ -30,12 +30,12 @@ def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
     rows = np.zeros((count, len(flows), OF_LASH * lashes + len(study.measures), size + driven))
 
     def set_shaft_torque(row: Floats, k: int, flow: int, active: FlowOf) -> None:
-        """Set (D, Z) to the torque of a shaft in a flow, with what its friction slips or sticks with."""
+        """Set `row`, (D, Z), to the torque of shaft `k` in a flow by (x, u): spring, damper and friction."""
         twist, stage = line.shafts[..., k, :], line.in_stages(active.stages)
         row[:, :n] = stage.shaft_stiffness[..., k, None] * twist
         row[:, n : 2 * n] = stage.shaft_damping[..., k, None] * twist
         if k in staged:
-            row[:, size + half_gap_of(lashes) + staged.index(k)] = 1.0  # behind the half gaps
+            row[:, size + half_gap_of(lashes) + staged.index(k)] = 1.0  # the input of a staged shaft
         behind = OF_FRICTION * len(active.stuck)
         torque_at, holding = size + driven - behind, systems.functionals.shape[-2] - behind
         for (friction, shares), sticks in zip(line.frictions, active.stuck, strict=True):
@@ -74,7 +74,7 @@ def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
 
 
 def torque_across(line: Driveline, systems: System, flow: int, lash: int) -> Floats:
-    """(D, Z) the torque across a lash, closed in a flow, by state and inputs, signed like q."""
+    """Torque across a lash that is closed in a flow, signed like q: coefficients of state and inputs (x, u), (D, Z)."""
     if systems.impulsive:
         return _read(systems, flow, lash * systems.functionals_per_lash + FORCE)
     n, (count, _, size, driven) = systems.inertias, systems.inputs.shape
@@ -86,19 +86,19 @@ def torque_across(line: Driveline, systems: System, flow: int, lash: int) -> Flo
 
 
 def _read(systems: System, flow: int, functional: int) -> Floats:
-    """(D, Z) a functional of a flow, by state and inputs."""
+    """Coefficients of state and inputs (x, u) in a functional of a flow, (D, Z)."""
     return np.concatenate([systems.functionals[:, flow, functional], systems.feedthrough[:, flow, functional]], axis=-1)
 
 
 def _tabulate(systems: System, channels: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """The lengths, steps, rates and series of D drivelines, see `Channels`.
+    """Lengths, steps, rates and series of D drivelines, the first fields of `Channels`.
 
     Parameters
     ----------
     systems : System
-        Of a batch.
+        The systems of a batch of D drivelines.
     channels : (D, K, C, Z) float64
-        Channel = row · z.
+        Rows of coefficients: channel = row · z, with z = (x, u).
     """
     *flows, size, driven = systems.inputs.shape
     generators = np.zeros((*flows, size + driven, size + driven))
@@ -111,7 +111,8 @@ def _tabulate(systems: System, channels: Floats) -> tuple[Floats, Floats, Floats
     for k in range(1, TERMS):
         terms.append(terms[-1] @ rates / k)
     step = power = np.broadcast_to(np.eye(size + driven), rates.shape)
-    for k in range(1, TERMS):  # a sixteenth, whose norm is 0.35 where that of the whole is four times the largest |λ|
+    # exp of a sixteenth of the step, squared four times: its norm is 0.35 where that of M is four times the largest |λ|
+    for k in range(1, TERMS):
         power = power @ rates / (16.0 * k)
         step = step + power
     for _ in range(4):

@@ -1,9 +1,10 @@
 """The motion within a stretch, in one regime under one piece of the load: linear, x' = A x + B u with a constant u.
 
-A ramp of the load is a part of its wave, and so of x. A phase, from one event to the next, is one stretch or several.
+A ramp of the load is a part of its wave w, and so of the state x = (θ, θ', w). A phase, from one event to the next,
+consists of one or more stretches.
 
-y = x' obeys y' = A y, so that x moves by Ψ(t) y, where Ψ(t) = ∫ exp(A s) ds. Every phase starts from a known state; no
-event is searched for.
+y = x' obeys y' = A y, so that x changes by Ψ(t) y(0), where Ψ(t) = ∫ exp(A s) ds. Every phase starts from a known
+state; no event is searched for.
 """
 
 from collections.abc import Iterator
@@ -19,31 +20,31 @@ from clunk.core.status import Status
 from clunk.core.tables import TORQUE
 from clunk.study.arrays import Floats, Integers
 
-_TERMS = 18  # of the power series, up to a norm of 1/2: the next one, of a form, is 1/19! = 8e-18
+_TERMS = 18  # of the power series, used up to a norm of 1/2: the first left out, of a form, is 1/19! = 8e-18
 _NO_FORMS = np.zeros((0, 1, 1))
-_AT_ONCE = 1 << 20  # numbers of matrices over several times: 8 MB
+_AT_ONCE = 1 << 20  # numbers in the matrices of all times that are computed together: 8 MB
 
 
 class Regime(NamedTuple):
-    """A regime under constant inputs: x' = rates · x + forcing; N states, x = (θ, θ')."""
+    """A regime under constant inputs: x' = rates · x + forcing; N states, x = (θ, θ') or (θ, θ', w) with a wave."""
 
-    flow: int  # its number
+    flow: int  # number of the regime's flow
     rates: Floats  # (N, N)
     forcing: Floats  # (N,)
-    inputs: Floats  # (I,)  u, each by the regime's weight
-    sides: Integers  # (L,)  sign of q on each lash's flank concerned, 0 for none
-    closed: Integers  # (L,)  whether its flanks press on each other
+    inputs: Floats  # (I,)  u: each input d times the regime's weight
+    sides: Integers  # (L,)  sign of q on the flank of each lash that touches or overlaps, 0 between the flanks
+    closed: Integers  # (L,)  whether the flanks of each lash press on each other
 
 
 def regime_under(system: System, number: int, inputs: Floats) -> Regime:
-    """One of the regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
+    """Regime `number` of a system under constant inputs d = (T, φ/2, T', …)  [N m, rad, N m/s]."""
     flow, contacts, u = system.regimes[number]["flow"], system.contacts[number], system.weights[number].copy()
-    u[: inputs.size] *= inputs  # the others are 1
+    u[: inputs.size] *= inputs  # those of staged shafts and frictions, behind, are 1
     return Regime(flow, system.rates[flow], system.inputs[flow] @ u, u, contacts["side"], contacts["closed"])
 
 
 class Preload(NamedTuple):
-    """Steady motion in contact."""
+    """Steady motion in contact, and the status of runs that begin in it."""
 
     status: Status
     regime: int
@@ -63,17 +64,20 @@ class Stretch(NamedTuple):
     begin: float  # s after the load step
     end: float
     regime: Regime
-    x: Floats  # (N,)  where it begins  [rad, rad/s], and the load's wave
-    motion: Floats  # (N,)  y = x' there
-    moved: Floats  # (N,)  by how much the state moves until the end
+    x: Floats  # (N,)  at the beginning  [rad, rad/s], and the load's wave
+    motion: Floats  # (N,)  y = x' at the beginning
+    moved: Floats  # (N,)  change of x from the beginning to the end
 
 
 def stretches(
     system: System, before: Floats, load: Floats, number: int, x: Floats, begin: float, end: float
 ) -> Iterator[Stretch]:
-    """Cut the time in a regime, from a state (θ, θ') to the next event, where pieces of a load (P, PIECE) begin.
+    """Cut the time in a regime, from a state (θ, θ') to the next event, at the times where pieces of the load begin.
 
     before : inputs d before the load step  [N m, rad, N m/s]
+    load : (P, PIECE), pieces of the load
+    number : the regime
+    x, begin, end : the state at the beginning, and the times from and to which it is followed  [s after the load step]
     """
     first = load[:, BEGIN].searchsorted(begin, side="right") - 1
     kinks = np.append(load[first + 1 :, BEGIN], np.inf)
@@ -90,14 +94,14 @@ def stretches(
 
 
 def inputs_of(before: Floats, load: Floats, piece: np.intp | int) -> Floats:
-    """The inputs d, from those before the load step, under a piece of a load without its wave  [N m, rad, N m/s]."""
+    """Inputs d under a piece of a load, without its wave, from those before the load step  [N m, rad, N m/s]."""
     inputs = before.copy()
     inputs[TORQUE] = load[piece, LEVEL]
     return inputs
 
 
 def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats:
-    """The state (θ, θ', w) in a piece of a load, (PIECE,), from (θ, θ')."""
+    """State (θ, θ', w) at a time in a piece of a load, (PIECE,), from (θ, θ'); the same state without a wave."""
     size = 2 * system.inertias
     if system.rates.shape[1] == size:
         return x
@@ -110,8 +114,11 @@ def _with_wave(system: System, x: Floats, piece: Floats, begin: float) -> Floats
 
 
 def states(regime: Regime, x: Floats, travel: Floats, count: int) -> Floats:
-    """(count, N) the states from `x` on, a step apart, of which travel is Ψ  [rad, rad/s]."""
-    z, power, filled = np.ones((count, x.size + 1)), np.eye(x.size + 1), 1  # of (x, 1)
+    """States at `count` times a step apart, (count, N), the first of them `x`  [rad, rad/s].
+
+    travel : (N, N), Ψ of the step
+    """
+    z, power, filled = np.ones((count, x.size + 1)), np.eye(x.size + 1), 1  # z = (x, 1), and a power of its step
     z[0, :-1] = x
     power[:-1, :-1] += regime.rates @ travel
     power[:-1, -1] = travel @ regime.forcing
@@ -123,11 +130,12 @@ def states(regime: Regime, x: Floats, travel: Floats, count: int) -> Floats:
 
 
 def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iterator[tuple[Floats, Floats]]:
-    """Ψ(t) = ∫ exp(A s) ds and G(t) = ∫ exp(A s)ᵀ F exp(A s) ds over each of some times; NaN where A is no number.
+    """Ψ(t) = ∫ exp(A s) ds and G(t) = ∫ exp(A s)ᵀ F exp(A s) ds from 0 to each of several times t.
 
-    They are power series for a short time, and Ψ(2t) = Ψ(t) (1 + Φ(t)), G(2t) = G(t) + Φ(t)ᵀ G(t) Φ(t) with
-    Φ = exp(A t) = 1 + A Ψ (C.F. Van Loan, Computing integrals involving the matrix exponential, 1978,
-    doi:10.1109/TAC.1978.1101743). Neither has a growing exponential in it.
+    Power series give both for a short time. Doublings of it, Ψ(2t) = Ψ(t) (1 + Φ(t)) and
+    G(2t) = G(t) + Φ(t)ᵀ G(t) Φ(t) with Φ = exp(A t) = 1 + A Ψ, give them for a longer one (C.F. Van Loan, Computing
+    integrals involving the matrix exponential, 1978, doi:10.1109/TAC.1978.1101743). Neither has a growing exponential,
+    such as exp(-A t), in it. Both are NaN where A is not finite.
 
     Parameters
     ----------
@@ -140,7 +148,9 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
     Yields
     ------
     travel : (N, N) float64  [s]
+        Ψ, for one time after the other.
     integrals : (m, N, N) float64  [s]
+        G of each form.
     """
     scaled, unit, norm, terms = _series(rates.tobytes(), len(rates))
     of_forms = [forms * unit[:, None] * unit]
@@ -162,17 +172,18 @@ def integrals(rates: Floats, lengths: Floats, forms: Floats = _NO_FORMS) -> Iter
         yield from zip(travel / norm * unit[:, None] / unit, grown / norm / unit[:, None] / unit, strict=True)
 
 
-@lru_cache(maxsize=64)  # a run comes back to its flows
+@lru_cache(maxsize=64)  # a run returns to the same few flows
 def _series(rates: bytes, size: int) -> tuple[Floats, Floats, float, Floats]:
-    """A of a flow in units in which angles and velocities are of one size, these, its norm there, and the terms of Ψ.
+    """Scaled A of a flow, units that balance it, its norm in these units, and the terms of the power series of Ψ.
 
-    A, (size, size), is divided by its norm, which is about its largest |λ|; NaN where it is not a number.
+    In these units angles and velocities are of about the same size, and the norm of A, (size, size), is about its
+    largest |λ|; A is scaled by dividing it by that norm. Both are NaN where A is not finite.
     """
-    from scipy.linalg import matrix_balance  # a fifth of a second, which runs without histories do not take
+    from scipy.linalg import matrix_balance  # here, as it takes 0.2 s, which runs without histories need not wait
 
     matrix, unit, norm = np.frombuffer(rates).reshape(size, size), np.ones(size), np.nan
     if np.isfinite(matrix).all():
-        with np.errstate(invalid="ignore"):  # it also casts the units to integers, for permutations, of which are none
+        with np.errstate(invalid="ignore"):  # scipy also casts the units to integers, as permutations, unused here
             matrix, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
         norm = float(np.linalg.norm(matrix)) or 1.0
     scaled = matrix / norm
@@ -183,5 +194,5 @@ def _series(rates: bytes, size: int) -> tuple[Floats, Floats, float, Floats]:
 
 
 def apply(matrix: Floats, rows: Floats) -> Floats:
-    """The matrix times each row; without BLAS, whose threads wait for each other longer than this takes (0.5 ms)."""
+    """Matrix times each row, without BLAS: its threads wait for each other longer than the product takes (0.5 ms)."""
     return np.einsum("kj,ij->ik", matrix, rows)

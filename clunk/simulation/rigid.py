@@ -1,9 +1,9 @@
 """Rigid-body motion of a driveline: the speeds at which its parts turn without twisting a spring or a closed lash.
 
-It is found along the joints and their gear ratios, exactly but for the rounding of the ratios, where the rank of the
-stiffness matrix would need a tolerance between the softest spring and nothing.
+The motion is found by following the joints and their gear ratios, which is exact but for the rounding of the ratios.
+The rank of the stiffness matrix would need a tolerance that tells the softest spring from no spring.
 
-Twists and speeds have an axis more in front for drivelines of a batch that differ in gear ratios.
+Twists and speeds have a further axis in front for drivelines of a batch that differ in gear ratios.
 """
 
 from collections.abc import Sequence
@@ -17,16 +17,18 @@ from clunk.core.tables import Friction
 from clunk.study.arrays import Floats
 from clunk.study.errors import listing
 
-_FITS = 1e-9  # a twist, relative to what the joint's ends add to it, that is rounding: ratios have some digits each
+# A twist that counts as rounding, relative to the terms that the joint's two ends add to it: a config gives gear ratios
+# with a limited number of digits.
+_FITS = 1e-9
 
 
 def rigid_motions(joints: Floats) -> Floats:
-    """Motions that twist none of some joints, one of each part of the driveline that is free to turn by itself.
+    """Motions that twist none of the given joints, one for each part of the driveline that is free to turn by itself.
 
     joints : (m, n) float64, twist = row · θ
 
-    Returns (n, k) float64, the speeds in each of the k motions; none for a part that is held to ground, or whose gear
-    ratios along a loop do not fit each other.
+    Returns (n, k) float64, the relative speeds of the inertias in each of the k motions. A part has no motion where it
+    is held to ground, or where its gear ratios around a loop contradict each other.
     """
     motions, left = [], set(range(joints.shape[-1]))
     while left:
@@ -38,7 +40,7 @@ def rigid_motions(joints: Floats) -> Floats:
 
 
 def speeds_along(joints: Floats, start: int) -> Floats:
-    """Speeds of the inertias that joints connect to one, where that turns by 1; zero of all others: (n,)."""
+    """Speeds, (n,), of the inertias that joints connect to inertia `start`, which turns at 1; zero for all others."""
     speeds, turns = np.zeros((*joints.shape[:-2], joints.shape[-1])), {start}
     speeds[..., start] = 1.0
     ends = [np.flatnonzero(row).tolist() for row in alike(joints != 0.0, 2)]
@@ -53,15 +55,18 @@ def speeds_along(joints: Floats, start: int) -> Floats:
 
 
 def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Floats) -> RigidMotion:
-    """The rigid-body motion, and what a load of 1 N m keeps up of it: a speed where dampers resist, else acceleration.
+    """Rigid-body motion, and its constant speed under a load of 1 N m, or its acceleration where no damper resists it.
+
+    Speeds and accelerations are zero unless there is exactly one such motion.
 
     Parameters
     ----------
     inertia : (n,) float64, or (D, n) of a batch of drivelines  [kg m2]
     springs : (m, n) float64
-        Twists of the joints with stiffness, the closed lash among them.
-    dampers : (S, n) float64, or (D, S, n), of which all or none of a damper are zero
-        Twists of the dampers, times the root of their damping.
+        Twists of the joints with stiffness, and of all lashes, taken as closed.
+    dampers : (S, n) float64, or (D, S, n) of a batch
+        Twists of the dampers, times the square root of their damping; those of a damper are zero in all drivelines or
+        in none.
     load : (n,) float64
         1 at the loaded inertia.
     """
@@ -79,14 +84,14 @@ def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Float
 
 
 def rubs(friction: Friction, rigid: RigidMotion) -> bool:
-    """Whether a friction would slip in steady motion."""
+    """Whether a friction would slip in steady motion, as a rigid-body motion twists its shaft."""
     return any(
         alike(_twists(friction.twist[..., None, :], each)[..., 0] != 0.0, 0) for each in np.moveaxis(rigid.shape, -1, 0)
     )
 
 
 def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str:
-    """Phrase on a driveline with two rigid-body motions or more, which names a part that nothing joins to the load."""
+    """Phrase of an error on two rigid-body motions or more: names a part that no stiffness joins to the load."""
     part = next(speeds for speeds in rigid.shape.T if not speeds @ load)
     free = [name for name, speed in zip(names, part, strict=True) if speed != 0.0]
     return (
@@ -97,5 +102,5 @@ def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str
 
 
 def _twists(joints: Floats, speeds: Floats) -> Floats:
-    """Rates of twist of joints at these speeds, without rounding."""
+    """Rates of twist of joints at these speeds; what is only rounding is set to zero."""
     return product(joints, speeds[..., None], _FITS)[..., 0]

@@ -1,9 +1,10 @@
-"""The linear view of vanishing backlash: the response, and how many impacts a load ratio brings (report §3.1 and 3.2).
+"""The linear limit of vanishing backlash: response, and number of impacts by load ratio (report §3.1 and 3.2).
 
 As the gap vanishes, the lash stays closed, and an impact is a change of sign of the torque it carries (Figure 3.5,
-Table 3.1). That torque is Ts (1 + σr f(t)) times what reaches the lash, with f(t) the response to the released torque,
-f(0) = 1. It is on the other flank while f < -1/σr, so that every excursion of f below that level is one more crossing
-and back. With the lowest mode alone f = exp(-ζ1 ω t) cos ω t, and each of its minima adds one.
+Table 3.1). That torque is Ts (1 + σr f(t)) times the share of the load that reaches the lash, with f(t) the response to
+the released torque, f(0) = 1. The torque is on the other flank while f < -1/σr, so that every excursion of f below that
+level is one more crossing and back. With the lowest mode alone f = exp(-ζ1 ω t) cos ω t, each minimum of which adds an
+excursion.
 """
 
 from dataclasses import replace
@@ -24,8 +25,8 @@ from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 
-_SAMPLES = 128  # a period of the fastest mode that matters: parabolas through three give an extreme to 1e-7
-_FAINTEST = 1e-3  # of the first swing: thresholds beyond σr = 1000 are nobody's load ratio
+_SAMPLES = 128  # in a period of the fastest mode that matters: a parabola through three gives an extreme to 1e-7
+_FAINTEST = 1e-3  # |f| below which extremes are not searched for: they matter to load ratios beyond 1000 only
 _MOST_SAMPLES = 500_000  # 4000 periods of the fastest mode
 
 
@@ -43,7 +44,7 @@ class SmallGap(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """σr = (F before - F after) / F after."""
+        """Load ratio σr = (F before - F after) / F after, of the torque F across the lash."""
         return (self.start - self.end) / self.end if self.end != 0.0 else np.inf
 
     @property
@@ -58,8 +59,11 @@ class SmallGap(NamedTuple):
 
     @classmethod
     def of(cls, study: Study) -> "SmallGap":
-        """The response of a study's driveline to a step from T0 to its load's last torque. Raises ClunkError where
-        there is none: without steady motion or oscillation, or with a load that does not reach the lash."""
+        """The response of a study's driveline to a step from T0 to its load's last torque.
+
+        Raises ClunkError where there is none: without steady motion or a damped oscillation in contact, with a load
+        that does not reach the lash, and for several lashes, stages or friction.
+        """
         driveline, system = Driveline.from_study(study), build(study)
         if len(study.lashes) > 1 or driveline.staged or driveline.frictions:
             raise ClunkError(
@@ -94,9 +98,9 @@ class SmallGap(NamedTuple):
 
 
 def periods_in_envelope(ratio: float, damping_ratio: float) -> float:
-    """n_c, how many periods the envelope of the lowest mode stays above the static torque.
+    """Number n_c of periods for which the envelope of the lowest mode stays above the static torque.
 
-    n_c = ln|σr| / (2π ζ1) (report Eq. 3.1, where 2π is missing); not a number where the envelope never crosses zero.
+    n_c = ln|σr| / (2π ζ1) (report Eq. 3.1, where 2π is missing); NaN for |σr| <= 1, where the envelope is never above.
     """
     return np.log(abs(ratio)) / (2.0 * np.pi * damping_ratio) if abs(ratio) > 1.0 else np.nan
 
@@ -104,8 +108,8 @@ def periods_in_envelope(ratio: float, damping_ratio: float) -> float:
 def one_mode_thresholds(study: Study) -> Floats:
     """Load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
 
-    σr = exp(2π ζ1 (n - 1/2)), n = 1 … 4 (report Table 3.1). Empty for a driveline that does not oscillate, and
-    for shafts with stages, with which no one mode does.
+    σr = exp(2π ζ1 (n - 1/2)), n = 1 … 4 (report Table 3.1). Empty for a driveline that does not oscillate, and for
+    shafts with stages, with which no single mode describes the oscillation.
     """
     driveline = Driveline.from_study(study)
     lowest = np.empty(0) if driveline.staged else driveline.modes(closed=True).damping_ratio[:1]
@@ -113,9 +117,10 @@ def one_mode_thresholds(study: Study) -> Floats:
 
 
 def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
-    """Load ratios at which one more impact appears, by all modes of the locked chain; fewer where f has fewer.
+    """Load ratios at which one more impact appears as the backlash vanishes, by all modes with the lash locked.
 
-    Empty without a static torque across the lash or an eigenbasis to speak of, and for shafts with stages.
+    There are at most `count`, and fewer where f has fewer excursions; friction is left out. Empty if the lash carries
+    no static torque, the eigenbasis is ill-conditioned, nothing oscillates, or shafts have stages.
     """
     contact = study.lashes[0].contact.but(model="restitution")
     rigid = study.but(lash=study.lashes[0].but(contact=contact))
@@ -129,30 +134,30 @@ def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     if rates.size == 0 or np.linalg.cond(right) > 1e10:
         return np.empty(0)
     start = np.linalg.solve(right, pick @ system.steady_motion[0, :size, TORQUE])
-    # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
+    # decay from the steady state under the released torque: F = C x + D T across the lash, T = 0 from the step on
     amplitudes = (system.functionals[1, FORCE, :size] @ expand @ right) * start / carried
     felt = abs(amplitudes) > 1e-12
     return levels_of_excursions(_extremes(rates[felt], amplitudes[felt]), count)
 
 
 def _without_drift(reduction: Reduction, drift: Floats) -> Reduction:
-    """The same coordinates, relative to some that are left out: as many as there are states that nothing depends on.
+    """Reduction with one coordinate fewer for each of the drifts, to which the other coordinates are then relative.
 
-    drift : (N, D) float64, these states; each is zero where the others are not
+    drift : (N, D) float64, the drifts: states that nothing depends on; each is zero where the others are not
     """
     if not drift.size:
         return reduction
     along = reduction.pick @ drift
     size, columns = along.shape
     pivots = abs(along).argmax(axis=0)
-    every = np.eye(size)
-    relative = every - along / along[pivots, np.arange(columns)] @ every[pivots]
+    identity = np.eye(size)
+    relative = identity - along / along[pivots, np.arange(columns)] @ identity[pivots]
     pick = np.delete(relative, pivots, axis=0) @ reduction.pick
     return Reduction(np.delete(reduction.expand, pivots, axis=1), pick, reduction.shift)
 
 
 def _extremes(rates: ComplexArray, amplitudes: ComplexArray) -> Floats:
-    """Minima and maxima of f = Re sum of amplitude · exp(rate t) in turn, a minimum first, until it is too faint."""
+    """Minima and maxima of f = Re sum of amplitude · exp(rate t) in turn, a minimum first, until |f| < `_FAINTEST`."""
     fastest = abs(rates.imag).max(initial=0.0)
     if fastest == 0.0:
         return np.empty(0)
@@ -170,7 +175,7 @@ def _extremes(rates: ComplexArray, amplitudes: ComplexArray) -> Floats:
 
 
 def levels_of_excursions(extremes: Floats, count: int) -> Floats:
-    """The σr from which on f has 1, 2, … `count` separate excursions below -1/σr; fewer where f has fewer.
+    """Load ratios σr from which on f has 1, 2, … `count` separate excursions below -1/σr; fewer where f has fewer.
 
     Two dips are one excursion while f does not rise above the level between them. As the level rises from the deepest
     minimum, an excursion begins at each minimum, and two become one at each maximum between them.

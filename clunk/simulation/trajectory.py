@@ -20,27 +20,29 @@ from clunk.study.errors import ClunkError
 from clunk.study.records import Rows, as_text, capital
 from clunk.study.study import Study, takes_study
 
-_LAST = 1000  # events of a run that has too many: what repeats is among them
+_LAST = 1000  # latest events of a run that has too many: those that repeat are among them
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A run of one load step: its events, primary impacts and severity; n inertias, E events (the load step included).
+    """A run of one load step: its events, primary impacts and severity.
+
+    It has n inertias, L lashes, E events with the load step, H phases, and P primary impacts of a lash.
 
     study : Study
     initial_sides : (L,) int64, sign of q = θi - ratio θj of each lash on its initial flank
     events : (E,) clunk.core.events.EVENT, times in s after the load step
     states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
-    extremes : (E, L, 2) float64, largest and smallest acceleration of each lash from its last primary impact to the
-        next event; not finite before the first, NaN of rigid flanks  [rad/s2]
-    phases : (P,) clunk.core.events.EVENT, the events and the changes of stage between them
-    phase_states : (P, 2n) float64, θ and θ' at each of these
-    primaries_of : indices of the primary impacts of each lash in `events`, (P,) int64
-    severities_of : Q_i of these  [rad/s2], (P,) float64
+    extremes : (E, L, 2) float64, largest and smallest acceleration that each lash watches, from its last primary impact
+        to the event after the row's; infinite before the first primary impact, NaN for rigid flanks  [rad/s2]
+    phases : (H,) clunk.core.events.EVENT, the events and the changes of stage between them
+    phase_states : (H, 2n) float64, θ and θ' at the beginning of each phase  [rad, rad/s]
+    primaries_of : indices in `events` of the primary impacts of each lash, (P,) int64
+    severities_of : Q_i of the primary impacts of each lash  [rad/s2], (P,) float64
     margins : (L,) float64, how near each lash came to another label (see clunk.core.exact.margins); NaN by rk4
-    complete : bool, whether it was proved that nothing follows
+    complete : bool, whether it is proved that no event follows the end of the run
     end : float, where the run stopped  [s after the load step]
-    lash : int, index from 0 of the lash that label, severity and the like are of; `lashes` has one for each
+    lash : int, index from 0 of the lash whose label, severity, impacts and margin the properties give
     """
 
     study: Study
@@ -59,7 +61,7 @@ class Trajectory:
 
     @property
     def lashes(self) -> tuple["Trajectory", ...]:
-        """The run with the label, severity and the like of each lash."""
+        """One trajectory for each lash, whose label, severity, impacts and margin are those of that lash."""
         return tuple(replace(self, lash=k) for k in range(len(self.primaries_of)))
 
     @property
@@ -79,7 +81,7 @@ class Trajectory:
 
     @property
     def margin(self) -> float:
-        """Margin to another label, how near the run came to one; NaN where the method knows none."""
+        """Margin: how near the run came to another label; NaN by rk4, which computes no margins."""
         return float(self.margins[self.lash])
 
     @cached_property
@@ -119,7 +121,7 @@ class Trajectory:
         return KIND_NAMES[self.events["kind"][k]]
 
     def flank_name(self, k: int) -> str:
-        """The flank of event `k`, of the lash concerned."""
+        """The flank of event `k` at the lash that it concerns: initial, opposite or none."""
         side, lash = self.events["side"][k], self.events["lash"][k]
         return "none" if side == 0 else ("initial" if side == self.initial_sides[max(lash, 0)] else "opposite")
 
@@ -134,7 +136,7 @@ class Trajectory:
         return self.study.lash_names[lash] if lash >= 0 else ""
 
     def summary(self) -> Rows:
-        """The run in a few lines for people: (name, value) pairs; of several lashes a line for each."""
+        """Summary of the run for people: (name, value) pairs; of several lashes, one line for each lash."""
         touches = sum(each.touches for each in self.lashes)
         events = ("events", f"{len(self.events) - 1}, {touches} of them touches")
         return [events, *(self.outcome() if len(self.lashes) == 1 else map(_line, self.lashes))]
@@ -152,7 +154,7 @@ class Trajectory:
         return rows
 
     def event_table(self) -> list[tuple[str, ...]]:
-        """Headings, and the events after the load step as texts; of several lashes with a column for the lash."""
+        """Rows of text: headings, then the events after the load step; of several lashes, a column names the lash."""
         several, severities = len(self.lashes) > 1, np.full(len(self.events), "", object)
         for each in self.lashes:
             severities[each.primaries] = [_severity(severity) for severity in each.impact_severity]
@@ -204,7 +206,10 @@ def simulate(study: Study) -> Trajectory:
 
 
 def run_of(study: Study, case: tile.Cases) -> Trajectory:
-    """The run of a study from the beginning that a case of one cell has."""
+    """Run a study under the load and with the gaps that a case of one cell has, from its state if it has one.
+
+    Raises ClunkError where the run fails.
+    """
     batch = prepare_one(of_system(study))
     room, lashes, status = tile.EVENTS, len(study.lashes), Status.EVENT_BUFFER_FULL
     system, stop, size = batch.system, np.zeros(1, np.uint8), batch.system.rates.shape[1]
@@ -219,7 +224,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
             ends=np.zeros(1),
         )
         output.logs["time"] = np.nan
-        _, found = tile.run_tile(batch, 0.0, case._replace(states=case.states.copy()), 0, room, output, stop)
+        _, written = tile.run_tile(batch, 0.0, case._replace(states=case.states.copy()), 0, room, output, stop)
         phases, status = output.logs[0][~np.isnan(output.logs["time"][0])], Status(output.cells["status"][0, 0])
         is_event = phases["kind"] != STAGE
         stages = np.count_nonzero(~is_event)
@@ -234,7 +239,7 @@ def run_of(study: Study, case: tile.Cases) -> Trajectory:
     if study.has_rigid_flanks:
         extremes[:] = np.nan
     cells, primary = output.cells[0], events["primary"] != 0
-    severities = output.impacts["severity"][:found].copy()
+    severities = output.impacts["severity"][:written].copy()
     return Trajectory(
         study=study,
         initial_sides=output.cells["initial_side"][0].astype(np.int64),
