@@ -1,7 +1,7 @@
-"""Cells of a sweep's design: their systems, torques and gaps, and their runs by the kernel, tile by tile.
+"""Cells of a sweep's design: their systems, torques and gaps, and their runs by the kernels, tile by tile.
 
-A tile has a row for each lash of each cell, a cell's rows behind one another: one record and any number of details, of
-a regime map its CELL and its impacts, of a tolerance map its TOLERANCE_CELL and its OUTCOMEs.
+A tile has a row for each lash of each cell; the rows of a cell follow one another. A row has one record and any number
+of details: for a regime map a CELL and its IMPACTs, for a tolerance map a TOLERANCE_CELL and its OUTCOMEs.
 """
 
 import math
@@ -31,30 +31,31 @@ from clunk.study.designs import Design, design_of
 from clunk.study.models import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study
 
-_Part = tuple[Batch, Cells]  # drivelines, and the number among them of each of those that were asked for
+_Part = tuple[Batch, Cells]  # drivelines, and the index in them of each one asked for, or -1
 Runs = tuple[Cells, Records, Records, Records]  # positions of runs, their records, impacts and events
 
 _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 
-_KEPT = 2  # batches of drivelines
-_TILE_BATCHES = 8  # of a tile whose cells have a driveline each
+_KEPT = 2  # batches of drivelines that are kept for later calls
+_TILE_BATCHES = 8  # of drivelines in a tile, at most, where each cell has its own driveline
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
-FEW = 8  # cells, whose time tells whether others are worth threads
-_SLOWER = 4  # times as long as beside many others a run takes beside so few, in many regimes: lanes are empty then
-_FEW_STEPS = 50_000  # of each by rk4, 0.5 ms
-_COMPILING = {"rk4": 15, "exact": 40}  # s
-_IMPACTS = 16  # of a run in a lash, that there is room for at first
-# Of a run: 1e-16 of the gap is as large as the gap then, if each magnifies it 1.9 times. Of 75,713 runs of 700 random
-# studies, in 49 of which that happens, none of fewer than 59 has other impacts from inputs that differ by _NUDGED.
+FEW = 8  # cells that are run first, to tell by their time whether the others are worth threads
+_SLOWER = 4  # times as long a run takes among FEW runs as among many: where they are in many regimes, lanes are empty
+_FEW_STEPS = 50_000  # most steps of a run by rk4 (0.5 ms) with which FEW cells are run first
+_COMPILING = {"rk4": 15, "exact": 40}  # s that the kernels of a method take to compile
+_IMPACTS = 16  # of a run at a lash for which there is room at first
+# Touches of a run from which on rounding may decide its impacts: if each touch magnifies a difference 1.9 times, 1e-16
+# of the gap has become the gap. Of 75,713 runs of 700 random studies, in 49 of which rounding decides some run, none
+# with fewer than 59 touches has other impacts from inputs that differ by _NUDGED.
 MANY_TOUCHES = 56
-_NUDGED = 1.0 + 1e-12  # 1e4 times rounding: 1e2 times leave some chaotic runs as they are
-_OUTCOME = ["pattern", "touches"]  # that other impacts change
-_MOVED = 1e-6  # of a time, 1e6 times as much as what it is _NUDGED by
-_THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
-_AT_ONCE = 1 << 23  # events that runs may have which are taken at a time: of each second one an impact, 134 MB
-_STATES = 1 << 16  # those whose states there is room for at a time: 8 MB, which the caches nearly hold
-_MEASURED, _MORE_MEASURED = 512, 8  # `EVENTS` and `MORE` of runs with states: many at a time
-_TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
+_NUDGED = 1.0 + 1e-12  # factor on inputs, 1e4 times rounding: with 1e2 times, some chaotic runs do not change
+_OUTCOME = ["pattern", "touches"]  # fields of CELL that change if a run has other impacts
+_MOVED = 1e-6  # relative change of a time that counts as another time: 1e6 times that of inputs that are _NUDGED
+_THE_ONLY = np.zeros(1, np.int64)  # index of the driveline in a batch of one
+_AT_ONCE = 1 << 23  # events that all runs of a call have room for: 134 MB if every second event is an impact
+_STATES = 1 << 16  # events that all runs of a call have room for with states: 8 MB, which the caches nearly hold
+_MEASURED, _MORE_MEASURED = 512, 8  # `EVENTS` and `MORE` for runs with states: less room, so that many run at a time
+_TILE_POINTS = 2**19  # of tabulated loads in a tile: 20 MB where each cell has its own load
 
 
 class Layout(NamedTuple):
@@ -62,7 +63,7 @@ class Layout(NamedTuple):
 
     record, detail : dtype
     counted_by : field of a record with the number of its details
-    lashes : number of rows of each cell
+    lashes : number of lashes, and of rows of each cell
     """
 
     record: RecordType
@@ -80,7 +81,7 @@ class Tile(NamedTuple):
 
     cells : (n,) int64, numbers in C order of the design; in any order, consecutive or not
     records : (n lashes,) of the layout's record type
-    details : (N,) of its detail type, those of each row behind those of the row before it
+    details : (N,) of the layout's detail type, in the order of the rows that they belong to
     """
 
     cells: Cells
@@ -89,12 +90,12 @@ class Tile(NamedTuple):
 
 
 def most_of_load(study: Study) -> int:
-    """Most runs at a time whose loads, if each has its own, are of a bounded size."""
+    """Most runs at a time, so that their loads have `_TILE_POINTS` points at most if each run has its own load."""
     return max(_TILE_POINTS // len(study.load.times or study.load.levels or (0,)), 1)
 
 
 def leaves_system(study: Study, parameter: str) -> bool:
-    """Whether cells that differ in a parameter have the same system: only the load's pieces or the gap change."""
+    """Whether a parameter leaves the system as it is, and changes only the load's pieces or a gap."""
     of_wave = f"load.{WAVES.get(study.load.profile)}"
     is_load = parameter.startswith("load.") and parameter not in ("load.on", of_wave)
     return is_load or _BACKLASH.fullmatch(parameter) is not None
@@ -105,11 +106,12 @@ class Grid:
 
     study : Study
     design : Design, by default that of the study's sweep
-    layout : of the tiles
+    layout : Layout of the tiles
     tile_cells : the most cells of a tile
-    few_cells : so few, if any, that a signal can wait for them
-    pace : of the latest tile that was not small, or of a quicker one, for each of its cells  [s]
-    structural : the parameters that differ between the cells and with which the system does
+    few_cells : number of cells that are run in so short a time that a signal can wait for it; 0 if these take long, too
+    pace : one number in a list, the time that a cell takes  [s]: measured in the latest tile of more than FEW cells, or
+        less, by a smaller tile since; infinite before the first tile
+    structural : the parameters of the design that change the system
     """
 
     def __init__(self, study: Study, design: Design | None = None) -> None:
@@ -125,15 +127,15 @@ class Grid:
         solver = study.solver
         is_slow = solver.method == "rk4" and solver.end_time > _FEW_STEPS * solver.step
         self.few_cells = 0 if is_slow or self._is_large() else min(FEW, self.tile_cells)
-        self.pace = [math.inf]  # one number, the same for all designs
-        self._kept: dict[bytes, tuple[Batch, int]] = {}  # drivelines, by the bytes of their points
+        self.pace = [math.inf]  # a list, which grids of other designs share (`with_design`)
+        self._kept: dict[bytes, tuple[Batch, int]] = {}  # batch and index in it of a driveline, by its point's bytes
 
     def __getstate__(self) -> dict[str, Any]:
-        self.shared()  # goes along to other processes, so that all have its bits
+        self.shared()  # prepared here and sent along to other processes, so that all of them have the same bits
         return self.__dict__ | {"_kept": {}}
 
     def with_design(self, design: Design) -> "Grid":
-        """The cells of another design with the same parameters, run with the same drivelines."""
+        """Grid of another design with the same parameters; it shares the drivelines that have been prepared."""
         grid = object.__new__(type(self))
         grid.__dict__.update(self.__dict__ | {"design": design})
         if grid._is_large():
@@ -141,11 +143,11 @@ class Grid:
         return grid
 
     def _is_large(self) -> bool:
-        """Whether there are so many drivelines that a batch of the first few would take long beside one of all."""
+        """Whether there are many drivelines, so that to prepare the first few apart takes long beside preparing all."""
         return bool(self.structural) and self.design.cells > FEW
 
     def ordered(self, cells: Cells) -> Cells:
-        """Cells in the order in which they are best cut into tiles: those of one system behind one another."""
+        """Cells in the order in which they are best cut into tiles: those with the same system follow one another."""
         if not self.structural:
             return cells
         values = self.design.columns(cells)
@@ -157,22 +159,25 @@ class Grid:
         return prepare_one(of_system(self.study))
 
     def steps(self) -> float:
-        """Steps that a run takes at least: all of rk4's, and by the exact method those in a flow without modes."""
+        """Number of steps from start to end of a run: of rk4, or of the exact method in a flow without modes.
+
+        Such a flow takes the shortest span only; 0 by the exact method where all flows have modes.
+        """
         tables, step = self._nominal.tables, self.study.solver.step
         if isinstance(tables, Flows):
             step = np.where(tables.modal, np.inf, tables.span[..., 0]).min()
         return self.study.solver.end_time / step
 
     def shared(self) -> System | None:
-        """The system that all cells share, if they do."""
+        """The system that all cells share; None where it differs between them."""
         return None if self.structural else self._nominal.system
 
     def drivelines(self, points: Floats) -> Iterator[_Part]:
-        """The drivelines at some values of structural parameters; the latest are kept for later calls.
+        """Prepare the drivelines at D points of the structural parameters; the latest are kept for later calls.
 
         points : (D, parameters)
 
-        Yields batches, each with the number in it of every driveline, (D,), or -1.
+        Yields batches, each with the index in it of every point's driveline, (D,), or -1 for those in other batches.
         """
         if not self.structural:
             yield self._nominal, np.zeros(1, np.int64)
@@ -181,7 +186,7 @@ class Grid:
         members: dict[int, _Part] = {}
         unknown = []
         for k, row in enumerate(rows):
-            if known := self._kept.get(row):  # other threads clear it meanwhile
+            if known := self._kept.get(row):  # one look-up, as other threads may clear it
                 batch, number = known
                 members.setdefault(id(batch), (batch, np.full(len(rows), -1)))[1][k] = number
             else:
@@ -197,34 +202,35 @@ class Grid:
             yield batch, numbers
 
     def run(self, cells: Cells, stop: StopFlag) -> Tile:
-        """Run cells; the tile has those that were done before `stop` was set."""
+        """Run cells, and measure the pace; the tile has the cells that were done before `stop` was set."""
         began = time.perf_counter()
         tile = self.tile_of(cells, stop)
         pace = (time.perf_counter() - began) / max(cells.size, 1)
-        fewer = 4 * FEW if self.structural else _SLOWER  # to prepare a driveline takes as long as to prepare many
+        fewer = 4 * FEW if self.structural else _SLOWER  # few drivelines take as long to prepare as many
         self.pace[0] = pace if cells.size > FEW else min(pace / fewer, self.pace[0])
         return tile
 
     def tile_of(self, cells: Cells, stop: StopFlag) -> Tile:
-        """Run cells, as `run` does, which measures how long it takes."""
+        """Run cells as `run` does, but without measuring the pace."""
         return self.run_at(cells, self.design.columns(cells), stop)
 
     def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: StopFlag) -> Tile:
-        """Run cells with these values of the design's parameters, whatever the design's are."""
+        """Run cells with these values of the design's parameters, (cells,) each, instead of the design's own."""
         layout = self.layout
         done, rows, pieces = [np.zeros(0, np.int64)], [np.zeros(0, layout.record)], [np.zeros(0, layout.detail)]
         for positions, records, impacts, _ in self._runs(values, cells.size, stop):
             done.append(positions)
             rows.append(records)
             pieces.append(impacts)
-        # with the type, which numpy would otherwise find anew for each piece
+        # with dtype given, as numpy would otherwise work it out anew for each piece
         records, details = np.concatenate(rows, dtype=layout.record), np.concatenate(pieces, dtype=layout.detail)
         return Tile(cells[np.concatenate(done)], records, details)
 
     def logged(self, values: Mapping[str, Floats], count: int) -> tuple[Records, Records]:
-        """Run cells with these values of parameters and keep their events.
+        """Run `count` cells with these values of parameters, and keep their events.
 
-        Returns CELL (count, lashes), and EVENT (count, events), times NaN behind the last one.
+        Returns CELL (count, lashes), and EVENT (count, events), with NaN as time behind the last event of a run, and
+        without any event for a run that failed.
         """
         records, pieces = np.zeros((count, self.layout.lashes), CELL), []
         for positions, rows, _, logs in self._runs(values, count, np.zeros(1, np.uint8), keeps_events=True):
@@ -240,9 +246,9 @@ class Grid:
     def _runs(
         self, values: Mapping[str, Floats], count: int, stop: StopFlag, *, keeps_events: bool = False
     ) -> Iterator[Runs]:
-        """Run cells with room for few events at first; those that find too little are run again, with more.
+        """Run cells with room for few events at first; those that need more are run again, with more room.
 
-        keeps_events : whether the events are wanted, until the next runs, and not what the config measures
+        keeps_events : whether to yield the events of runs, and not to evaluate what the config measures
         """
         lashes, measures = self.layout.lashes, self.study.measured and not keeps_events
         for of_batch in self._by_batches(values, count):
@@ -253,7 +259,7 @@ class Grid:
             first, more = (_MEASURED, _MORE_MEASURED) if measures else (EVENTS, MORE)
             room = min(first, most)
             while positions.size and not stop[0]:
-                if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
+                if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than a driveline for each
                     batch = batch.at(cases.drivelines[:1]) if len(batch.systems.rates) > 1 else batch
                     cases = cases._replace(drivelines=_THE_ONLY)
                 at_once = min(positions.size, max((_STATES if measures else _AT_ONCE) // room, 1))
@@ -276,9 +282,11 @@ class Grid:
                 positions, cases, room = positions[left], cases.at(left), min(more * room, most)
 
     def _by_batches(self, values: Mapping[str, Floats], count: int) -> Iterator[tuple[Batch, Cells, Cases]]:
-        """Cut cells by the batches of their drivelines, and where each has its own load, by the size of these.
+        """Cut cells by the batches that their drivelines are in, and so that their loads are of a bounded size.
 
-        values : of each parameter in `count` cells
+        values : (count,) values of each parameter
+
+        Yields batches, each with the positions of its cells and their torques and gaps.
         """
         points, point_of = np.zeros((1, 0)), np.zeros(count, np.int64)
         if self.structural:
@@ -297,14 +305,14 @@ class Grid:
     def _run(
         self, batch: Batch, cases: Cases, stop: StopFlag, room: int, logs: Records, states: Floats
     ) -> tuple[Records, Records]:
-        """Records and impacts, as the grid's layout has them, of the runs that were done before `stop` was set.
+        """Records and impacts, in the grid's layout, of the runs that were done before `stop` was set.
 
-        A run of so many touches that these may have magnified rounding to the size of the gap is repeated from a
-        torque and gaps that differ by a little more than rounding: where it has other impacts, or its last event is at
-        another time, it is undecided.
+        A run of MANY_TOUCHES or more may have magnified rounding to the size of the gap. By the exact method, and with
+        a margin tolerance, it is repeated from a torque and gaps that differ by a little more than rounding (_NUDGED):
+        if that has other impacts, or its last event at another time, the run is undecided.
 
-        room : for the events of each
-        logs, states : of `Output`, or of no run; with states, what the config measures is measured
+        room : number of events for which each run has room
+        logs, states : buffers of `Output`, or empty ones; with states, what the config measures is evaluated
         """
         cells, details = self._followed(batch, cases, stop, room, logs, states)
         if self.study.solver.method == "exact" and self.study.solver.margin_tolerance:
@@ -328,22 +336,22 @@ class Grid:
     ) -> tuple[Records, Records]:
         """CELL (n, lashes) and IMPACT of the first n runs, which were done before `stop` was set; see `_run`.
 
-        Runs whose impacts find no room are run again, so that the room for each is doubled then.
+        Runs whose impacts do not fit are run again, with twice the room for each.
         """
         solver, runs, lashes = self.study.solver, len(cases.before), self.layout.lashes
         most = min(room, solver.max_events)
         cells, done, impacts, each = np.zeros((runs, lashes), CELL), 0, [np.zeros(0, IMPACT)], _IMPACTS * lashes
         while done < runs and not stop[0]:
-            # so much more that a few runs with many impacts are not run again
-            found = np.zeros(each * (runs - done) + 3 * most, IMPACT)
-            output = Output(cells, found, logs, states)
+            # with some more room, so that a few runs with many impacts need not be run again
+            buffer = np.zeros(each * (runs - done) + 3 * most, IMPACT)
+            output = Output(cells, buffer, logs, states)
             done, written = run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
-            impacts.append(found[:written].copy())
+            impacts.append(buffer[:written].copy())
             each *= 2
         return cells[:done], np.concatenate(impacts, dtype=IMPACT)
 
     def _measured(self, batch: Batch, cases: Cases, output: Output, stop: StopFlag) -> tuple[Records, Records]:
-        """Records and impacts of runs with their measures; none where `stop` is set."""
+        """Records and impacts of runs with what the config measures added; empty where `stop` is set."""
         names, details = self.study.impacts.quantities, output.impacts
         totals = np.full((*output.cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
         of_impacts = np.zeros((details.size, OF_IMPACTS))
@@ -355,19 +363,19 @@ class Grid:
 
 
 def layout_of(study: Study) -> Layout:
-    """Layout of the tiles of a study: what is measured follows what every run has."""
+    """Layout of the tiles of a study: the fields of every run, and behind them those that the config measures."""
     names, measures = study.impacts.quantities, (each.name for each in study.measures)
     return Layout(_with(CELL, *names, *measures), _with(IMPACT, *names), "primary_impacts", len(study.lashes))
 
 
 def _with(record: RecordType, *names: str) -> RecordType:
-    """A type of records with further numbers of these names."""
+    """Type of records with further fields of float64 with these names."""
     fields = {name: record[name] for name in record.names or ()}
     return record_of(**fields, **dict.fromkeys(names, "f8"))
 
 
 def _joined(records: Records, layout: RecordType, columns: Floats) -> Records:
-    """Records of a type with further fields, whose values are columns."""
+    """Records extended to a type with further fields, whose values are the columns, (records, fields)."""
     joined = require_fields(records, layout)
     for name, column in zip((layout.names or ())[len(records.dtype.names or ()) :], columns.T, strict=True):
         joined[name] = column
@@ -376,7 +384,7 @@ def _joined(records: Records, layout: RecordType, columns: Floats) -> Records:
 
 def compiling_note(*studies: Study) -> str:
     """Sentence on the time that the kernels of these studies take to compile; empty where that has been done."""
-    kept = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]  # numba makes it at run time
+    kept = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]  # numba sets it at run time
     methods = sorted({study.solver.method for study in studies})
     cold = [method for method in methods if not any(kept.glob(f"**/tile.by_{method}-*.nbi"))]
     seconds = sum(_COMPILING[method] for method in cold)

@@ -2,8 +2,8 @@
 
 No other module imports dask. The scheduler holds only a few tiles for each thread of its workers, however large the
 grid is, and workers may come and go while it runs: a tile whose worker dies is run by another. Every worker must have
-the same versions, so that no bit of a tile depends on the one that runs it. A sweep that is stopped leaves its
-scheduler at once; tiles that run then go on to their ends, and their results are dropped.
+the same versions, so that no bit of a tile depends on the worker that runs it. A sweep that is stopped leaves its
+scheduler at once; tiles that are running then go on to their ends, and their results are dropped.
 """
 
 import logging
@@ -29,34 +29,34 @@ from clunk.sweeping.engines import EngineError
 from clunk.sweeping.machine import available_cores, versions
 from clunk.sweeping.progress import note
 
-_CONNECTING = 4.0  # s
-_ASKING = 1.0  # s between two looks at the number of threads
-_LOGS = ("distributed", "distributed.client", "tornado.application")  # silent: errors are sentences here
+_CONNECTING = 4.0  # s to wait for the scheduler's answer, at most
+_ASKING = 1.0  # s between two queries of the number of threads
+_LOGS = ("distributed", "distributed.client", "tornado.application")  # silenced: EngineError says what they log
 _LOCAL: dict[str, Any] = {
     "threads_per_worker": 1,
     "scheduler_kwargs": {"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-    "memory_limit": 0,  # of a worker; it needs some MB beside the program itself
+    "memory_limit": 0,  # none: a worker needs only some MB beside the program itself
     "silence_logs": logging.CRITICAL,
-    # in a terminal Ctrl-C goes to every process; these leave it to this one
+    # in a terminal Ctrl-C goes to every process; the workers ignore it and leave it to this process
     "preload": ["import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"],
 }
 
 
 class Cluster(Executor):
-    """The workers of a scheduler, while this is open.
+    """Engine of the workers of a scheduler, while this context is open.
 
-    address : of the scheduler, ``tcp://host:8786``; or ``local`` for one with workers on this machine, which end with
-        this; a script that uses that needs Python's ``if __name__ == "__main__":``
-    workers : processes of ``local``; by default one for each core
+    address : address of the scheduler, such as ``tcp://host:8786``; or ``local`` for a scheduler and workers on this
+        machine, which end with this context; a script that uses ``local`` needs Python's ``if __name__ == "__main__":``
+    workers : number of worker processes of ``local``; by default one for each core that this process may use
 
-    Raises EngineError where there is no scheduler, or one of its workers has other versions.
+    Raises EngineError where no scheduler answers, or one of its workers has other versions.
     """
 
     def __init__(self, address: str, workers: int | None = None) -> None:
         self._address = address
         self._workers = workers or available_cores()
         self._sent: tuple[Grid, Any] | None = None  # the latest grid, and the task that brings it to the workers
-        self._threads, self._asked = 1, -_ASKING  # as if there had been a worker: that there is none is said
+        self._threads, self._asked = 1, -_ASKING  # as if there had been a worker, so that a note says if there is none
 
     def __enter__(self) -> Self:
         scheduler: Any = self._address
@@ -78,7 +78,7 @@ class Cluster(Executor):
         return self
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the scheduler; its tasks end with that."""
+        """Leave the scheduler, which then drops the tasks of this engine, whatever the arguments are."""
         self._open.close()
 
     @property
@@ -90,12 +90,12 @@ class Cluster(Executor):
                 if self._threads and not threads:
                     note(f"waiting for a worker of {self._address} …", True)
                 self._threads = threads
-            except Exception as error:  # depends on the layer that notices first that the scheduler has gone
+            except Exception as error:  # which one depends on the layer that first notices a lost scheduler
                 raise self.explained(CancelledError()) from error
         return max(1, self._threads)
 
     def processors(self) -> str:
-        """The models of the workers' processors: LAPACK, which prepares systems there, may round by them."""
+        """Models of the workers' processors, by which LAPACK may round differently as it prepares systems there."""
         models = {}
         with suppress(OSError):  # all cells are finished, and the scheduler or a worker has gone since
             models = self._client.run(get_host_cpu_name, on_error="ignore")
@@ -105,12 +105,12 @@ class Cluster(Executor):
         """Run a tile on a worker; `function` is `Grid.run` of a grid."""
         grid = function.__self__
         if self._sent is None or self._sent[0] is not grid:
-            # a task and not scattered data: a worker that dies takes no copy with it that could not be made again
+            # sent by a task and not as scattered data: where a worker that holds it dies, the task is run again
             self._sent = grid, self._client.submit(pickle.loads, pickle.dumps(grid), pure=False)
         return self._executor.submit(_run, versions(), self._sent[1], *arguments)
 
     def explained(self, error: BaseException) -> BaseException:
-        """The error of a tile, as one for the user."""
+        """Error for the user, made of a tile's error."""
         if isinstance(error, EngineError):
             return error
         if isinstance(error, KilledWorker):
@@ -123,9 +123,9 @@ class Cluster(Executor):
 
 
 def _run(wanted: Mapping[str, str], grid: Grid, cells: Cells, stop: StopFlag) -> Tile:
-    """Run a tile on a worker, which keeps its grid, with the drivelines that it has prepared, for other tiles.
+    """Run a tile on a worker, which keeps the grid, and the drivelines that it has prepared, for further tiles.
 
-    Raises EngineError where the worker has other versions than those that are wanted.
+    Raises EngineError where the worker has other versions than those wanted.
     """
     for name, version in versions().items():
         if version != wanted[name]:

@@ -1,12 +1,12 @@
 """Engines: the executors that run the tiles of a sweep.
 
 An engine is anything with the shape of `concurrent.futures.Executor`: threads by default, or the workers of a dask
-scheduler (`clunk.sweeping.distributed`). Its tasks are calls of `Grid.run`; to a process of its own goes a copy of the
-flag that stops them. A cell's result depends on nothing but its parameters, so neither the engine, the cut into tiles,
-the order nor the number of workers can change a bit of it.
+scheduler (`clunk.sweeping.distributed`). Its tasks are calls of `Grid.run`. Other processes get a copy of the flag that
+stops a task, so that setting it does not stop them. A cell's result depends on nothing but its parameters, so neither
+the engine, the cut into tiles, the order nor the number of workers can change a bit of it.
 
-An engine may have two methods besides: `processors()`, and `explained(error)`, which makes of a tile's error one for
-the user.
+An engine may have two further methods: `processors()`, which names the processors of its workers, and
+`explained(error)`, which makes an error for the user of a tile's error.
 """
 
 import math
@@ -25,10 +25,10 @@ from clunk.sweeping.cells import Grid, Tile
 from clunk.sweeping.machine import available_cores
 
 _DEFERRED = (signal.SIGINT, signal.SIGTERM)
-_MOMENT = 0.01  # s of runs that are not: to start threads and to wait for them takes 1 ms
-_TILE = 0.5  # s, which a tile takes at most: progress is smooth, an interrupt keeps what is done
-_AHEAD = 8  # tiles handed to each worker, which goes on while a part is written to the disk, 0.1 to 0.3 s
-_ATTENDED = 25  # workers whose tiles of the usual size this process can look after: 4 ms each, of 0.1 s
+_MOMENT = 0.01  # s of runs from which on threads are used: to start them and to wait for them takes 1 ms
+_TILE = 0.5  # s that a tile takes at most: progress is smooth, and an interrupt loses little
+_AHEAD = 8  # tiles submitted for each worker, which goes on while a part is written to the disk, 0.1 to 0.3 s
+_ATTENDED = 25  # workers that this process can serve: a tile of the usual size takes 4 ms here and 0.1 s there
 
 
 class EngineError(ClunkError):
@@ -38,8 +38,8 @@ class EngineError(ClunkError):
 def run_tiles(grid: Grid, cells: Cells, engine: Executor) -> Generator[Tile, None, None]:
     """Run cells until none wait or run; yield finished tiles in the order in which they finish.
 
-    Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on. Work that
-    takes a moment is done without threads.
+    Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on. Runs that
+    take less than `_MOMENT` altogether are done without threads.
     """
     stop, waiting = np.zeros(1, np.uint8), grid.ordered(cells)
     if grid.few_cells and isinstance(engine, Threads):
@@ -50,14 +50,14 @@ def run_tiles(grid: Grid, cells: Cells, engine: Executor) -> Generator[Tile, Non
     count = waiting.size
     try:
         while True:
-            workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
+            workers = getattr(engine, "_max_workers", None) or available_cores()  # an attribute of all engines
             most = grid.tile_cells
-            if isinstance(engine, Threads) and grid.pace[0] < math.inf:  # of processes it is not known
+            if isinstance(engine, Threads) and grid.pace[0] < math.inf:  # unknown of other processes
                 most = min(most, max(grid.few_cells, math.ceil(_TILE / grid.pace[0])))
             while size := next_tile(waiting.size, len(running), count, workers, most):
-                # each of the last tiles has cells of all that is left: they take equally long
+                # each of the last tiles has every n-th of the cells that are left, so that they take equally long
                 part = slice(0, None, -(-waiting.size // size)) if waiting.size <= workers * size else slice(size)
-                running.add(engine.submit(grid.run, waiting[part].copy(), stop))  # may be kept, the rest not
+                running.add(engine.submit(grid.run, waiting[part].copy(), stop))  # a tile keeps these only
                 waiting = waiting[size:] if part.step is None else np.delete(waiting, part)
             if not running:
                 return
@@ -82,8 +82,8 @@ def run_tiles(grid: Grid, cells: Cells, engine: Executor) -> Generator[Tile, Non
 def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: int) -> int:
     """Number of cells of the next tile; 0 where enough tiles are running.
 
-    Half of a worker's share of the rest, so that all workers end together; but not so few that a tile is not worth
-    while, unless a worker would be idle without it.
+    It is half of a worker's share of the waiting cells, so that all workers end together; but not so small that a tile
+    is not worth its overhead, unless a worker would be idle without it.
 
     waiting : number of cells that wait
     running : number of tiles that run
@@ -102,7 +102,7 @@ def deferred_signals() -> Iterator[None]:
 
     Python runs the handler of a signal between any two steps of the main thread. A handler that raises, as that of
     SIGINT does, can interrupt `concurrent.futures` where it has locked something and not yet noted that it has to
-    unlock it; its threads then wait for ever, and so does who waits for them.
+    unlock it; its threads then wait for ever, and so does all that waits for them.
     """
     handlers: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():  # the only one that runs handlers, and that may set them

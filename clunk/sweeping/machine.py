@@ -1,4 +1,4 @@
-"""The machine and the versions that results come from: cores and memory, processor, and what decides the bits."""
+"""The machine and the versions that results come from: cores, memory, processor, and versions that decide the bits."""
 
 import contextlib
 import functools
@@ -15,7 +15,7 @@ from llvmlite.binding import get_host_cpu_name
 
 import clunk
 
-_CONTAINER = Path("/sys/fs/cgroup")  # as a container sees its own limits, of cgroups of version 2
+_CONTAINER = Path("/sys/fs/cgroup")  # where a container finds its own limits (cgroups, version 2)
 # Packages whose sources decide the bits of a cell; an edit elsewhere, of a picture or a table, discards no cells.
 _DECISIVE = ("core", "study", "simulation", "sweeping")
 _version = functools.cache(version)
@@ -43,7 +43,7 @@ def available_memory() -> float:
 
 
 def _limit(name: str, count: int) -> list[float]:
-    """The numbers of a limit; infinite where there is none ("max")."""
+    """The `count` numbers of a container's limit; infinite where there is no limit ("max", or no such file)."""
     with contextlib.suppress(OSError, ValueError):
         numbers = [math.inf if word == "max" else float(word) for word in (_CONTAINER / name).read_text().split()]
         if len(numbers) == count and min(numbers) > 0.0:
@@ -58,6 +58,8 @@ def _limit(name: str, count: int) -> list[float]:
 def versions(package: Path = Path(clunk.__file__).parent) -> dict[str, str]:
     """Versions of all that could change a bit of a cell's results: Python, numpy, scipy, numba, and clunk's sources.
 
+    The version of the sources is their SHA-256.
+
     package : directory of clunk's sources
     """
     sources = hashlib.sha256()
@@ -68,7 +70,7 @@ def versions(package: Path = Path(clunk.__file__).parent) -> dict[str, str]:
 
 
 def provenance(engine: Executor | None) -> dict[str, str]:
-    """Versions, date and machine, as the results file's attributes name them."""
+    """Versions, date and processors, under the names of the results file's attributes."""
     return {
         "clunk_version": clunk.__version__,
         "python_version": platform.python_version(),

@@ -1,7 +1,7 @@
-"""Finished cells on their way to the results file: a working directory beside it, NAME.h5.partial.
+"""The working directory for finished cells beside the results file that they are for: NAME.h5.partial.
 
-    lock             held by the one process that writes; it dies with that process
-    manifest.json    the study, the plan of the sweep and the versions
+    lock             held by the one process that writes; released when that process ends
+    manifest.json    the study with its sweep, its digest and the versions
     part-000001      the cells that finished in the first seconds; and so on
 
 A part is complete before it gets its name, and is checked when it is read. The results file is assembled once, beside
@@ -31,20 +31,20 @@ from clunk.sweeping.engines import deferred_signals
 from clunk.sweeping.machine import versions
 
 _DIGEST = 32  # bytes of SHA-256
-_PART = 2.0  # s, at least: a shorter sweep is as soon run again; a part of 20,000 cells is 3 MB and takes 25 ms
-_LONGEST_PART = 30.0  # s
-_LARGEST_PART = 1 << 20  # cells, about 120 MB: many workers are faster than any clock
-_SHARE = 0.02  # of the time so far: what may be lost, so that a day's sweep is not 50,000 files
+_PART = 2.0  # s between parts, at least: a shorter sweep is soon run again; 20,000 cells are 3 MB and take 25 ms
+_LONGEST_PART = 30.0  # s between parts, at most
+_LARGEST_PART = 1 << 20  # cells, about 120 MB, at which a part is written at once: many workers finish them sooner
+_SHARE = 0.02  # of the time so far, which may pass between parts and be lost: a day's sweep is then not 50,000 files
 
 
 class PartsError(ClunkError):
-    """Finished cells that cannot be kept or taken up again; its text is one sentence for the user."""
+    """Finished cells that cannot be kept on the disk or read back; its text is one sentence for the user."""
 
 
 class WorkingDirectory:
-    """The directory of one target, locked while this is open.
+    """The working directory of one results file, locked while this context is open.
 
-    target : the results file; through a symbolic link, what it points to
+    target : the results file; where that is a symbolic link, the file that it points to
     """
 
     def __init__(self, target: FilePath) -> None:
@@ -76,7 +76,7 @@ class WorkingDirectory:
         return sorted(self.path.glob("part-" + 6 * "[0-9]"))
 
     def clear(self) -> None:
-        """Remove the parts and what belongs to them; what someone else has put there stays."""
+        """Remove the parts, the manifest and unfinished files; files that others have put there stay."""
         try:
             for path in [*self.parts(), *self.path.glob(".*.tmp"), self.path / "manifest.json"]:
                 path.unlink(missing_ok=True)
@@ -84,7 +84,7 @@ class WorkingDirectory:
             raise PartsError(f"{self.path} cannot be emptied: {reason(error)}.") from error
 
     def remove(self) -> None:
-        """Remove the directory, unless someone has put something else there."""
+        """Remove the directory, unless others have put files there."""
         with suppress(OSError, PartsError):
             self.clear()
             if os.name == "nt" and self._lock is not None:
@@ -110,7 +110,7 @@ class WorkingDirectory:
 class Parts:
     """The finished cells of one sweep in a working directory.
 
-    directory : open, that is locked
+    directory : the working directory, open and thus locked
     study : Study
 
     Raises PartsError where the directory holds parts of another study.
@@ -123,7 +123,7 @@ class Parts:
         self.kept = 0  # cells that are on the disk
         decisive = {"config_digest": digest(study), "versions": versions()}
         self._origin = json.dumps(decisive).encode()
-        self._manifest = {**decisive, "config": to_toml(study)}  # for the sentence on what differs
+        self._manifest = {**decisive, "config": to_toml(study)}  # the config names the keys that differ
         self._waiting: list[Tile] = []
         self._cells_waiting = 0
         self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
@@ -131,7 +131,7 @@ class Parts:
         self._refuse_other_sweeps(study)
 
     def read(self) -> Iterator[Tile]:
-        """The parts that are whole and of this sweep; all others are removed."""
+        """Yield the tiles of all parts that are undamaged and of this sweep; remove all other parts."""
         for path in self.directory.parts():
             try:
                 tiles = tiles_of(_bytes_of(path), self._origin)
@@ -145,7 +145,7 @@ class Parts:
             yield from tiles
 
     def add(self, tile: Tile) -> None:
-        """Keep a tile; tiles that have accumulated are written as a part now and then. Raises PartsError."""
+        """Keep a tile; when it is time for a part, write all tiles since the last one. Raises PartsError as `flush`."""
         self._waiting.append(tile)
         self._cells_waiting += tile.cells.size
         now = time.monotonic()
@@ -154,10 +154,10 @@ class Parts:
             self.flush()
 
     def flush(self) -> None:
-        """Write the tiles that have accumulated. Raises PartsError."""
+        """Write the tiles that have accumulated as a part. Raises PartsError where they cannot be written."""
         if not self._waiting:
             return
-        with deferred_signals():  # what has been written is noted
+        with deferred_signals():  # so that a part that has been written is also counted as such
             try:
                 manifest = self.directory.path / "manifest.json"
                 if not manifest.exists():
@@ -177,7 +177,10 @@ class Parts:
             self._written = time.monotonic()
 
     def _refuse_other_sweeps(self, study: Study) -> None:
-        """Compare with the directory's manifest; one that is damaged is removed, as parts identify themselves."""
+        """Raise PartsError where the directory's manifest is of another config.
+
+        A damaged manifest is removed: the checksum of each part identifies its sweep, too.
+        """
         path = self.directory.path / "manifest.json"
         if not path.exists():
             return
@@ -196,7 +199,10 @@ class Parts:
 
 
 def _bytes_of(path: Path) -> bytes:
-    """What a file of the working directory holds; raises PartsError where it cannot be read, as it may be later."""
+    """Content of a file of the working directory.
+
+    Raises PartsError where it cannot be read: as it may be readable later, it does not count as damaged.
+    """
     try:
         return path.read_bytes()
     except OSError as error:
@@ -204,9 +210,9 @@ def _bytes_of(path: Path) -> bytes:
 
 
 def write_tiles(file: BinaryIO, tiles: Sequence[Tile], origin: bytes) -> None:
-    """Write a SHA-256, then each tile's cells, records and details, each as a file of NumPy's.
+    """Write a SHA-256 checksum, then each tile's cells, records and details, each in NumPy's .npy format.
 
-    origin : identifies the study and the versions of the tiles
+    origin : identifies the study and the versions of the tiles; only the checksum depends on it
     """
     content = io.BytesIO()
     for tile in tiles:
@@ -217,7 +223,7 @@ def write_tiles(file: BinaryIO, tiles: Sequence[Tile], origin: bytes) -> None:
 
 
 def tiles_of(raw: bytes, origin: bytes) -> list[Tile]:
-    """The tiles in bytes that `write_tiles` wrote. Raises ValueError where a bit or the origin differs."""
+    """Tiles from bytes that `write_tiles` wrote. Raises ValueError where a bit or the origin differs."""
     checksum, content, tiles = raw[:_DIGEST], raw[_DIGEST:], []
     if hashlib.sha256(origin + content).digest() != checksum:
         raise ValueError("damaged, or of another study or version")
@@ -245,7 +251,7 @@ def _shown(value: object) -> str:
 
 
 def _lock(file: BinaryIO) -> None:
-    """Take a lock that dies with its process, or raise BlockingIOError."""
+    """Lock a file until it is closed or the process ends. Raises BlockingIOError where another process has done so."""
     if sys.platform == "win32":
         import msvcrt
 

@@ -1,4 +1,4 @@
-"""Progress of a long computation on stderr: one line that is rewritten, or where that is kept a line now and then."""
+"""Progress of a long computation on stderr: one line that is rewritten, or a line every few seconds in a log."""
 
 import sys
 import time
@@ -9,7 +9,7 @@ from clunk.study.study import Study
 from clunk.sweeping.cells import compiling_note, warm_up
 
 Progress = Callable[[int, int], None]
-ShowProgress = bool | Progress  # whether a bar is shown, or what is called in its place
+ShowProgress = bool | Progress  # whether a bar is shown, or a function to call in its place
 
 _LINE_EVERY = 5.0  # s
 _REWRITTEN_EVERY = 0.1  # s
@@ -19,12 +19,12 @@ _WIDTH = 79
 
 @contextmanager
 def shown(unit: str = "cells") -> Iterator[Progress]:
-    """Show progress while this is open; the function that it yields takes the numbers done and in all, 0 if unknown.
+    """Show progress while this context is open; a terminal and a notebook show a bar in a line that is rewritten.
 
-    A terminal and a notebook show a bar in a line that is rewritten.
+    Yields a function of the number of units done, and of their number in all, 0 if that is unknown.
     """
     is_rewritten = in_notebook() or sys.stderr.isatty()
-    # a command's own stderr shows control characters as text
+    # commands replace stderr by a stream that shows control characters as text; `direct` is the stream behind it
     stream = getattr(sys.stderr, "direct", sys.stderr) if is_rewritten else sys.stderr
     first = None
     last = time.perf_counter()
@@ -33,7 +33,7 @@ def shown(unit: str = "cells") -> Iterator[Progress]:
     def update(done: int, total: int) -> None:
         nonlocal first, last, line
         now = time.perf_counter()
-        began_with, began = first = first or (done, now)  # it may include the cells of an earlier run
+        began_with, began = first = first or (done, now)  # `done` may include cells of an earlier run
         rate = (done - began_with) / max(now - began, 1e-9)
         line = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
         if rate > 0.0:
@@ -57,18 +57,18 @@ def shown(unit: str = "cells") -> Iterator[Progress]:
 
 
 def note(text: str, progress: ShowProgress) -> None:
-    """Print a text, if there is one, where progress is shown."""
+    """Print a text to stderr if it is not empty and `progress` is True."""
     if text and progress is True:
         print(text, file=sys.stderr)
 
 
 def unseen(_done: int, _total: int) -> None:
-    """Report nothing: the progress that nobody asked for."""
+    """Report no progress, where none is asked for."""
 
 
 @contextmanager
 def reporting(progress: ShowProgress, study: Study, what: str = "cells") -> Iterator[Progress]:
-    """Function to report progress to; a bar is shown when the kernels that the study needs are compiled."""
+    """Yield a function to report progress to; a bar is shown once the kernels that the study needs are compiled."""
     if progress is False:
         yield unseen
     elif progress is True:
@@ -81,8 +81,8 @@ def reporting(progress: ShowProgress, study: Study, what: str = "cells") -> Iter
 
 
 def in_notebook() -> bool:
-    """Whether this runs in a kernel, whose front end shows what IPython displays."""
-    if "IPython" not in sys.modules:  # a kernel has imported it
+    """Whether this process is an IPython kernel, whose notebook displays the output."""
+    if "IPython" not in sys.modules:  # a kernel would have imported it
         return False
     from IPython import get_ipython
 

@@ -1,7 +1,7 @@
-"""Finished tiles of a sweep, collected, and the map of them, which does not depend on the order of the tiles.
+"""The finished tiles of a sweep, collected into a map, which does not depend on the order of the tiles.
 
-A sweep is a design, the cells of which a grid runs to tiles, and a map that is made of the tiles. Regime maps, here,
-and tolerance maps (`clunk.sweeping.tolerances`) differ in the grid and in the map's arrays.
+A grid runs the cells of a design, tile by tile; a reduction collects the tiles, of which a map is made. Regime maps,
+made here, and tolerance maps (`clunk.sweeping.tolerances`) differ in the grid and in the map's arrays.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,10 +32,10 @@ def labels_of(records: Records | Columns, impacts: Records | Columns) -> tuple[t
     """Labels of runs in `label_order`, and each run's code among them, -1 where it failed.
 
     records : CELL
-    impacts : IMPACT, of all runs behind one another
+    impacts : IMPACT of all runs, in the order of their records
     """
-    patterns = np.unique(records["pattern"])  # with its inverse it would sort them all
-    # the bits of a pattern behind its leading 1 are flanks; it is 0 where they are too many, or the run failed
+    patterns = np.unique(records["pattern"])  # return_inverse would make it sort them all
+    # the bits of a pattern behind its leading 1 are flanks; it is 0 where these are too many, or the run failed
     words = [
         label([OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:]]) if pattern else FAILED
         for pattern in patterns.tolist()
@@ -49,9 +49,9 @@ def labels_of(records: Records | Columns, impacts: Records | Columns) -> tuple[t
 
 
 def in_order(words: Sequence[str]) -> tuple[tuple[str, ...], LabelCodes]:
-    """Labels in `label_order`, and each word's number there, -1 of ``failed``.
+    """Distinct labels among words, in `label_order`, and each word's index among them, -1 for ``failed``.
 
-    Raises ClunkError where they are more than a map holds.
+    Raises ClunkError where there are more labels than a map can hold.
     """
     labels, most = tuple(sorted(set(words) - {FAILED}, key=label_order)), np.iinfo(np.int16).max
     if len(labels) > most:
@@ -66,10 +66,10 @@ def in_order(words: Sequence[str]) -> tuple[tuple[str, ...], LabelCodes]:
 class Reduction:
     """The cells of a map, collected tile by tile.
 
-    grid : runs the cells to tiles
-    study, design : of the cells
-    axes, shape : of the map: those of the design and, of several lashes, theirs
-    rows : number of rows of all cells, one for each lash
+    grid : Grid that runs the cells, tile by tile
+    study, design : study and design of the grid
+    axes, shape : of the map: those of the design and, behind them, the lashes if there are several
+    rows : number of rows of all cells, one for each lash of a cell
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
     """
@@ -83,10 +83,10 @@ class Reduction:
         self.known = np.zeros(self.design.cells, bool)
         self.done = 0
         self._records = _columns(self.rows, grid.layout.record)
-        self._details: list[tuple[Cells, Records]] = []  # rows, and the details of these behind one another
+        self._details: list[tuple[Cells, Records]] = []  # rows of a tile, and their details in this order
 
     def add(self, tile: Tile) -> None:
-        """Add a tile's cells, none of which is there already."""
+        """Add a tile's cells, none of which has been added before."""
         rows = self.grid.layout.rows(tile.cells)
         for name, column in self._records.items():
             column[rows] = tile.records[name]
@@ -100,10 +100,10 @@ class Reduction:
         progress: Progress,
         keep: Callable[[Tile], None] | None = None,
     ) -> None:
-        """Run the cells that have not been added; of these, none that runs at an interrupt.
+        """Run and add the cells that have not been added yet; those that are running at an interrupt are lost.
 
         engine : see `run_tiles`
-        progress : called in this thread with the number of cells, first of those added before, then after each tile
+        progress : called in this thread with the numbers of added and of all cells, first at once, then after each tile
         keep : called with each tile that has been added
         """
         with closing(run_tiles(self.grid, np.flatnonzero(~self.known), engine)) as tiles:
@@ -115,7 +115,7 @@ class Reduction:
                 progress(self.done, self.design.cells)
 
     def collected(self) -> tuple[Columns, Columns]:
-        """Records of all rows, and their details, those of each row behind those of the row before it."""
+        """Records of all rows, and their details in the order of the rows; all cells must have been added."""
         assert self.known.all()
         counts = self._records[self.grid.layout.counted_by]
         ends = counts.cumsum(dtype=np.int64)
@@ -129,18 +129,18 @@ class Reduction:
 
 
 def _columns(size: int, record: RecordType) -> Columns:
-    """An array of zeros for each field of a record: many records take half the time to make of these."""
+    """An array of zeros for each field of a record: to collect many records takes half the time in these."""
     return {name: np.zeros(size, record[name]) for name in record.names or ()}
 
 
 @lru_cache(4)
 def heading_of(study: Study) -> dict[str, Any]:
-    """Title and config of a study's maps; the latest are kept: to write a config takes as long as some fifty runs."""
+    """Title, config and digest for a study's maps, cached: to write a config takes as long as some fifty runs."""
     return {"title": study.title, "config": to_toml(study), "config_digest": digest(study)}
 
 
 def regime_map(reduction: Reduction, attributes: dict[str, str]) -> Results:
-    """The map of the tiles of a `Grid`, with these attributes."""
+    """The regime map of all cells of a `Grid`, with these attributes of its file."""
     records, impacts = reduction.collected()
     (labels, codes), heading = labels_of(records, impacts), heading_of(reduction.study)
     columns, arrays = {**records, "sequence": codes}, {}

@@ -21,28 +21,28 @@ from clunk.sweeping.sweep import engine_of
 
 
 class Runner:
-    """Runs of a study at points of some of its keys, for optimisers, designs of experiments and searches of one's own.
+    """Runs of a study at points of some of its keys, for optimisers, designs of experiments and custom searches.
 
-    What does not depend on the keys is prepared once, and what does is prepared for all points of a call together. A
-    call with few points takes some 0.5 ms beside its runs, where the keys are of the load or a backlash.
+    What does not depend on the keys is prepared once, and what does is prepared for all points of a call together. If
+    all keys are of the load or a backlash, a call with few points takes some 0.5 ms in addition to its runs.
 
     Parameters
     ----------
     study : Study
-        The values of all other keys; its sweep, fit and optimisation are left aside.
+        Gives the values of all other keys; its sweep, fit and optimisation are ignored.
     keys : of str
-        Any numeric keys of the config, or one.
+        Any numeric keys of the config, or one such key.
     workers : int, optional
-        Threads; by default one for each core that this process may use.
+        Number of threads; by default one for each core that this process may use.
     engine : optional
-        One that is open already, see `clunk.sweeping.engines`.
+        An engine to use instead of threads, open already, see `clunk.sweeping.engines`.
 
     Raises
     ------
     ConfigError
-        Where the study has no such key, or one is given twice, or none.
+        Where the study has no such key, a key is given twice, or no key is given.
     EngineError
-        Where there is to be no worker.
+        Where `workers` is less than 1.
 
     Examples
     --------
@@ -65,48 +65,49 @@ class Runner:
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
         self.grid.shared()  # prepared once, for all points
         self._engine = engine or engine_of(None, workers)
-        self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were looked at
+        self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were checked
 
     def __call__(self, points: npt.ArrayLike, *, progress: Progress = unseen) -> Results:
-        """Run points.
+        """Run the study at points of the keys.
 
         Parameters
         ----------
         points : (n, keys) float, each in its key's unit
         progress : callable(done, total), optional
-            Called in this thread with the number of runs at the beginning, and after each finished part.
+            Called in this thread with the numbers of finished and of all runs, at the beginning and after each tile.
 
         Returns
         -------
         Results
-            Along one axis, `run`, with the keys as coordinates on it; bit for bit those of a sweep's cells.
+            Results along one axis, `run`, with the keys as coordinates on it; bit for bit equal to those of a sweep's
+            cells with these values.
 
         Raises
         ------
         ConfigError
-            Where a value is not one that a config may hold.
+            Where the points have another shape, or a value is not one that a config may hold.
         """
         return self.run(self.checked(points), progress)
 
     def run(self, values: Floats, progress: Progress = unseen) -> Results:
-        """Run points, (n, keys), whose values are allowed."""
+        """Run points, (n, keys), that `checked` has returned."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
         reduction.run(self._engine, progress)
         return regime_map(reduction, self._attributes)
 
     def values(self, columns: Mapping[str, npt.ArrayLike]) -> Floats:
-        """Values of the keys, (n, keys), from those of each, (n,) or one for all."""
+        """Points, (n, keys), from the values of each key, (n,) or one value for all points."""
         return np.stack(np.broadcast_arrays(*(np.asarray(columns[key], np.float64) for key in self.keys)), axis=-1)
 
     def checked(self, points: npt.ArrayLike) -> Floats:
-        """Points as an array, (n, keys). Raises ConfigError where they are none, or a value is not allowed."""
+        """Points as an array, (n, keys). Raises ConfigError where they have another shape or a value is not allowed."""
         values = np.asarray(points, np.float64)
         if values.ndim != 2 or values.shape[1] != len(self.keys) or not len(values):
             raise ConfigError(
                 f"Points are one row or more of {len(self.keys)} values, of {', '.join(self.keys)}; their array has "
                 f"the shape {values.shape}."
             )
-        if self.grid.structural:  # two that are sound may not be so together, nor what is between them
+        if self.grid.structural:  # allowed values may not be allowed together, nor values between them
             self._check(values)
             return values
         known = np.concatenate([values, self._allowed])
@@ -114,7 +115,7 @@ class Runner:
         if not np.array_equal(ends, self._allowed):
             try:
                 self._check(ends)
-            except ConfigError:  # some point, or none but these two
+            except ConfigError:  # a point is not allowed, or only these bounds are not
                 self._check(values)
             else:
                 self._allowed = ends

@@ -32,22 +32,22 @@ _NO_SWEEP = (
     "There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]] (clunk help designs). "
     "clunk simulate runs it once."
 )
-_BYTES_PER_CELL = 550  # the most that a cell with few impacts takes: results, assembly, lines, writing
+_BYTES_PER_CELL = 550  # of memory for a cell with few impacts, at most: results, assembly, boundaries, writing
 _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=True)."
 
 
 class Job:
-    """A sweep, from the cells that are finished already to its map; `opened` makes one of a results file.
+    """A sweep of a study: it takes up the cells that are finished, runs the others and makes the map of all.
 
-    Raises ClunkError where nothing can run or the arrays don't fit in memory, and PartsError where `directory` holds
-    another sweep's cells.
+    `opened` makes a job for a results file. Raises ClunkError where nothing can run or the arrays don't fit in memory,
+    and PartsError where `directory` holds another sweep's cells.
 
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
-    directory : open; finished cells are kept there as the sweep goes on, and taken up from there
+    directory : an open working directory, in which finished cells are kept and from which they are taken up
     path : results file to write
-    held : the complete map that the file holds: there is nothing to run
-    ran, seconds : number of cells that `run` has run, and the time that it took
+    held : the complete map that the file holds already, so that there is nothing to run; or None
+    ran, seconds : number of cells that `run` has run, and the time that it took  [s]
     """
 
     def __init__(
@@ -70,7 +70,11 @@ class Job:
                 self.parts = Parts(directory, study)
 
     def _empty(self) -> Reduction:
-        """The map without any cell. Raises ClunkError where there can be none, or it does not fit in memory."""
+        """Reduction without any finished cell.
+
+        Raises ClunkError where there is nothing to sweep, the map does not fit in memory, or a tolerance map would have
+        measures.
+        """
         if not self.design.shape:
             raise ClunkError(_NO_SWEEP)
         lashes = len(self.study.lashes)
@@ -89,9 +93,10 @@ class Job:
         return Reduction(SampleGrid(self.study))
 
     def finish(self, result: AnyMap, addition: Callable[[AnyMap], AnyMap] | None = None) -> AnyMap:
-        """Add something to a map, and write it to its file, if it has one; without the addition where that is stopped.
+        """Add to a finished map, such as its boundaries, and write it to the results file, if there is one.
 
-        Raises ClunkError where the disk has no room for the results.
+        Where the addition fails or is interrupted, the map is written without it. Raises ClunkError where the disk has
+        no room for the results.
         """
         added = result
         try:
@@ -113,7 +118,7 @@ class Job:
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
-        """Keep the finished cells where something stops, and say where they are."""
+        """Write finished cells to the disk where an interrupt or an error stops the sweep, and note where they are."""
         try:
             yield
         except (KeyboardInterrupt, SystemExit, ClunkError) as stopped:  # SIGINT, SIGTERM, workers gone, disk full
@@ -129,14 +134,14 @@ class Job:
         *,
         progress: ShowProgress = False,
     ) -> AnyMap:
-        """Run the cells that are not finished.
+        """Take up the cells that are finished, run the others, and make the map.
 
         engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads, one for each core that this
             process may use
-        progress : whether a bar is shown; or called in this thread with the number of cells, first of those finished
-            before, then after each tile
+        progress : whether a bar is shown; or a function to call in this thread with the numbers of finished and of all
+            cells, first with the cells taken up, then after each tile
 
-        Raises as `clunk.sweep`.
+        Raises the errors of `clunk.sweep`.
         """
         with reporting(progress, self.study) as report:
             began = time.perf_counter()
@@ -171,13 +176,13 @@ def opened(
     restart: bool = False,
     force: bool = False,
 ) -> Iterator[Job]:
-    """Lock a results file for a sweep, and take up the finished cells.
+    """Lock a results file for a sweep, and yield its job.
 
     path : results file, whose directory exists; None for a sweep in memory
-    restart, force : as of `clunk.sweep`
+    restart, force : as for `clunk.sweep`
 
-    Raises ClunkError where the file holds something else, and PartsError where it is being written, or another sweep
-    into it has been stopped.
+    Raises ClunkError where the file holds something else, and PartsError where another process is writing it, or where
+    cells of another sweep into it, which was stopped, are kept beside it.
     """
     if path is None:
         yield Job(study)
@@ -187,7 +192,7 @@ def opened(
         held = _held(path, study) if path.exists() and not force else None
         if restart:
             directory.clear()
-        elif held is not None and directory.parts():  # of a process that was killed when its file was in place
+        elif held is not None and directory.parts():  # left by a process that was killed after writing its file
             with suppress(PartsError):  # another sweep's parts stay
                 Parts(directory, study)
                 directory.clear()
@@ -195,7 +200,7 @@ def opened(
 
 
 def _held(path: Path, study: Study) -> AnyMap:
-    """The map that a file holds. Raises ClunkError where it is of anything else than this very sweep."""
+    """The map that a results file holds. Raises ClunkError where it is not the complete map of this sweep."""
     try:
         held = read_map(path)
     except StoreError as error:
@@ -208,12 +213,13 @@ def _held(path: Path, study: Study) -> AnyMap:
 
 
 def engine_of(scheduler: str | None, workers: int | None = None) -> Executor:
-    """Engine: this process's threads, or the workers of a dask scheduler; to be opened, if it is these.
+    """Engine of this process's threads, or of the workers of a dask scheduler, which must be opened (``with``).
 
-    scheduler : address, ``tcp://host:8786``; or ``local`` for processes on this machine; or None for threads
-    workers : number of threads or of these processes; by default one for each core that this process may use
+    scheduler : address, such as ``tcp://host:8786``; or ``local`` for processes on this machine; or None for threads
+    workers : number of threads or of local processes; by default one for each core that this process may use
 
-    Raises EngineError where the address is none, or dask is not installed.
+    Raises EngineError where `scheduler` is not an address, `workers` is less than 1 or given with an address, or dask
+    is not installed.
     """
     if workers is not None and workers < 1:
         raise EngineError(f"There is to be at least one worker, not {workers}.")
@@ -241,7 +247,7 @@ def sweep(
 ) -> Results:
     """Run the cells of a study in memory.
 
-    Parameters and errors are those of `Job` and `Job.run`; ClunkError, too, where the study has tolerances.
+    Parameters and errors are those of `Job` and `Job.run`. Raises ClunkError where the study has tolerances, too.
     """
     if study.swept.tolerances:
         raise ClunkError(HAS_TOLERANCES)

@@ -1,7 +1,7 @@
 """Tolerance maps: every cell of a grid, run for the same sample of the toleranced parameters, reduced to statistics.
 
-Most draws are systems of their own, which all cells of a tile share. Of a cell's runs only their outcomes are kept,
-each with its number of runs, and the statistics of their severity.
+Most draws have a system of their own, which all cells of a tile share. Of a cell's runs, only the labels are kept, each
+with its number of runs, and the statistics of their severity.
 """
 
 from collections import Counter
@@ -23,23 +23,23 @@ from clunk.sweeping.cells import Grid, Layout, Tile, most_of_load
 from clunk.sweeping.reduction import Reduction, heading_of, in_order, labels_of
 
 TOLERANCE_CELL = record_of(
-    outcomes="i4",  # number of labels
+    outcomes="i4",  # number of the cell's OUTCOMEs
     nominal_status="u1",
-    status="u1",  # of the first draw that failed
+    status="u1",  # of the first draw that failed, or OK
     severity_mean="f8",
     severity_quantiles=("f8", (len(QUANTILES),)),
 )
-# A label that runs of a cell had, and how many; the text is as long as the longest of a tile. That of the nominal run,
-# unless it failed, is the first of its cell, also where no draw had it.
+# A label that a cell has in some draws, and in how many; the text is as long as the longest label of a tile. A cell's
+# first OUTCOME is that of the nominal run, unless this failed, even if no draw has its label (0 runs then).
 OUTCOME = np.dtype([("runs", "i4"), ("label", "S1")])
 
-_TILE_RUNS = 1 << 16  # 1 MB of them, in about a second
+_TILE_RUNS = 1 << 16  # of a tile, at most: 1 MB, and about a second
 
 
 class SampleGrid(Grid):
     """The cells of a study with tolerances, each run for every draw of the sample and nominally.
 
-    drawn : the sample, of each tolerance (draws,)
+    drawn : the sample: the numbers that each tolerance has drawn, (draws,) each
     draws : int, size of the sample
     """
 
@@ -52,7 +52,7 @@ class SampleGrid(Grid):
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self.draws = study.swept.sampling.count
         self.drawn = drawn_numbers(study, self._tolerances)
-        self.few_cells, self.pace[0] = 0, 1.0  # until the first cells are done, which may take long
+        self.few_cells, self.pace[0] = 0, 1.0  # s: as a cell may take long, the first tiles have one cell each
         self.tile_cells = max(1, min(_TILE_RUNS, most_of_load(study)) // self.draws)
 
     def shared(self) -> System | None:
@@ -61,7 +61,7 @@ class SampleGrid(Grid):
 
     @property
     def sample(self) -> ResultAxes:
-        """The drawn numbers of each tolerance; those of a key that has several are named after what is drawn, too."""
+        """An axis of drawn numbers for each tolerance; where a key has several, their names also say what is drawn."""
         sample, count = [], Counter(parameters_of(self._tolerances))
         suffix = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
         for tolerance, numbers in zip(self._tolerances, self.drawn, strict=True):
@@ -72,7 +72,7 @@ class SampleGrid(Grid):
         return tuple(sample)
 
     def tile_of(self, cells: Cells, stop: StopFlag) -> Tile:
-        """Run cells; a tile that was stopped has none."""
+        """Run cells for every draw and nominally; a tile that was stopped has no cells."""
         count = (self.draws + 1) * cells.size
         tile = self._of_runs.run_at(np.arange(count), self._values(cells), stop)
         if tile.cells.size < count:
@@ -87,7 +87,7 @@ class SampleGrid(Grid):
         return Tile(cells, np.array([record for record, _ in summaries], TOLERANCE_CELL), details)
 
     def _values(self, cells: Cells) -> dict[str, Floats]:
-        """Values of the parameters in some cells at one draw after the other, (draws cells,); the last is nominal."""
+        """Values of the parameters in cells for one draw after the other, nominally at last: (draws cells + cells,)."""
         columns, values = self.design.columns(cells), {}
         drawn = with_draws(self.study, columns, self._tolerances, (numbers[:, None] for numbers in self.drawn))
         for key, of_draws in drawn.items():
@@ -98,7 +98,7 @@ class SampleGrid(Grid):
 
 
 def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> ToleranceMap:
-    """The map of the tiles of a `SampleGrid`, with these attributes."""
+    """The tolerance map of all cells of a `SampleGrid`, with these attributes of its file."""
     grid, shape = reduction.grid, reduction.shape
     assert isinstance(grid, SampleGrid)
     records, outcomes = reduction.collected()
@@ -131,11 +131,11 @@ def tolerance_map(reduction: Reduction, attributes: dict[str, str]) -> Tolerance
 
 
 def _summary(codes: LabelCodes, severity: Floats, status: Array) -> tuple[tuple[Any, ...], dict[int, int]]:
-    """A cell's TOLERANCE_CELL, and how many draws have each code; of its runs, the last is the nominal one."""
+    """A row's TOLERANCE_CELL, and the number of draws with each label code, from its runs, the last one nominal."""
     nominal = int(codes[-1])
     runs = {} if nominal == FAILED_CODE else {nominal: 0}
-    found, counts = np.unique(codes[:-1][codes[:-1] != FAILED_CODE], return_counts=True)
-    runs |= zip(found.tolist(), counts.tolist(), strict=True)
+    drawn_codes, counts = np.unique(codes[:-1][codes[:-1] != FAILED_CODE], return_counts=True)
+    runs |= zip(drawn_codes.tolist(), counts.tolist(), strict=True)
     known = severity[:-1][np.isfinite(severity[:-1])]
     mean, quantiles = (known.mean(), np.quantile(known, QUANTILES)) if known.size else (np.nan, np.nan)
     first_failed = status[np.argmax(status[:-1] != Status.OK)]
