@@ -14,7 +14,7 @@ _STEP = 1.4  # shortest step times the fastest rate |λ|: the first term left ou
 
 
 def channels_of(study: Study, line: Driveline, systems: System) -> Channels:
-    """Channels of a study: contact torque and closing speed of each lash, and behind them the study's measures.
+    """Channels of a study: contact torque and q' of each lash, and behind them the measures of the study.
 
     Parameters
     ----------
