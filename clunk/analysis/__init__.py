@@ -1,1 +1,1 @@
-"""Analysis of maps: differences between two, agreement with measurements and between methods, sensitivity."""
+"""Analyses: thresholds, boundaries, sensitivity, optimisation, fits, and comparison of maps, methods, measurements."""

@@ -35,13 +35,15 @@ from clunk.sweeping.progress import ShowProgress, reporting
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
-_AT_ONCE = 64  # pairs of runs whose events are kept at a time: few have more than hundreds
-_AT_END = 1e-6  # of the end time
-_SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
+_AT_ONCE = 64  # pairs of runs whose events are in memory at a time: few runs have more than hundreds of events
+_AT_END = 1e-6  # of the end time: an event of one run only that is as near to the end is due to the end
+# of the end time: the same event of two runs is no further apart, as points 1e-9 apart have runs that are alike up to
+# the first event that only one of them has
+_SAME_TIME = 1e-6
 
 
 def require_boundaries(study: Study) -> None:
-    """Raise ClunkError where a study's map has no boundaries between its cells that could be traced."""
+    """Raise ClunkError where the map of a study has no boundaries that could be traced between its cells."""
     axes = grid_axes(study, "Boundaries")
     if study.swept.tolerances:
         raise ClunkError("A tolerance map has no boundaries: in its cells labels are probable, not certain.")
@@ -57,8 +59,9 @@ def require_boundaries(study: Study) -> None:
 def is_traced(study: Study, asked: bool | None, lash: WhichLash) -> bool:
     """Whether a sweep of a study traces the boundaries of its map.
 
-    It does as asked, else as ``[sweep] boundaries`` says, and without either where its map has boundaries. Raises
-    ClunkError where they are asked for and the map has none, and ConfigError where it has no such lash.
+    It does as `asked`; where that is None, as ``[sweep] boundaries`` says; and where the config says nothing, if the
+    map has boundaries. Raises ClunkError where boundaries are asked for and the map has none, and ConfigError where the
+    study has no such lash.
     """
     lash_position(lash, study.lash_names)
     if asked is None:
@@ -88,18 +91,18 @@ def boundaries(
     ----------
     study : Study
     results : Results
-        Its map. Where cells failed, that is a label of its own.
+        The study's map. Failed cells have a label of their own, `failed`.
     lash : str, optional
         Of several lashes, the one whose labels are meant, by name or number; by default the first.
     workers : int, optional
         Threads; by default one for each core that this process may use.
     progress
-        As `clunk.sweep` takes it; runs are counted, whose number in all is not known: 0.
+        As in `clunk.sweep`; it counts runs, with a total of 0, as their number in all is not known.
 
     Raises
     ------
     ClunkError
-        Where the map has none, see `require_boundaries`.
+        Where the map has no boundaries, see `require_boundaries`.
     ConfigError
         Where there is no such lash.
     """
@@ -118,22 +121,23 @@ def boundaries(
         nodes["outcome"], nodes["measure"] = part.sequence[ascending], part.margin[ascending]
         nodes["touches"] = part.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        of_others = (results.touches.sum() - part.touches.sum()) // nodes.size  # which a point does not tell
+        # touches of other lashes in a run, which the runs of points do not count
+        of_others = (results.touches.sum() - part.touches.sum()) // nodes.size
         beside = point_runs.preparing + of_others // TOUCHES
         lines = Lines(triangles, lambda places: point_runs(values_at(places)), point_runs.cost, beside)
         lines.trace()
         paths = paths_of(*lines.segments(), lines.position)
-        # none within a junction
+        # regions and curves within a junction are left out
         regions = regions_of([ring for ring in rings_of(paths, triangles.outcome[0]) if _extent(ring) > SAME])
         paths = [path for path in paths if _extent(path) > SAME]
         crossings = [[node for node in path.nodes if node >= 0] for path in paths]
         below, above = lines.bracket(np.array([nodes[len(nodes) // 2] for nodes in crossings], np.int64))
         events = events_between(point_runs.runner, engine, position, values_at(below), values_at(above))
-        events[abs(above - below).max(axis=1) > CHORD] = UNKNOWN  # many are between the two
+        events[abs(above - below).max(axis=1) > CHORD] = UNKNOWN  # many events may lie between points so far apart
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings = [ring for region in regions for ring in region]
     cells = np.column_stack([*map(np.searchsorted, (across, upward), lines.unresolved.T)])
-    _, first = np.unique(cells, axis=0, return_index=True)  # place in each cell that has any
+    _, first = np.unique(cells, axis=0, return_index=True)  # one unresolved place for each cell that has any
     return Boundaries(
         lash=results.lashes[position] if results.lashes else "",
         axes=part.axes,
@@ -161,7 +165,10 @@ def with_boundaries(
     lash: WhichLash = None,
     **options: Any,
 ) -> AnyMap:
-    """A regime map with its boundaries, traced where it has none of this lash yet; options : as of `boundaries`."""
+    """A regime map with its boundaries, traced unless it has those of this lash already; any other map as it is.
+
+    options : as of `boundaries`
+    """
     if not isinstance(results, Results):
         return results
     part = results if lash is None else results.of_lash(lash)
@@ -171,33 +178,34 @@ def with_boundaries(
 
 
 def _extent(outline: Path | Ring) -> float:
-    """Of the map, the larger side of the box around a curve or a ring."""
+    """Larger side of the box around a curve or a ring, as a share of the map."""
     return float(np.ptp(outline.vertices, axis=0).max())
 
 
 def _shares(axis: ResultAxis) -> Floats:
-    """Ascending places of an axis's values from 0 to 1, in their logarithm where they are geometric."""
+    """Ascending places from 0 to 1 of an axis's values: as they are spaced, or as their logarithms where geometric."""
     values = axis.ascending.values
     places = np.log(values) if axis.is_geometric else values
     return (places - places[0]) / np.ptp(places)
 
 
 def _values(axis: ResultAxis, shares: Floats) -> Floats:
-    """Values of an axis at places from 0 to 1; those of the ends are the axis's own, to the bit."""
+    """Values of an axis at places from 0 to 1; at 0 and 1 these are the ends of the axis, bit for bit."""
     low, high = axis.ends
     inner = low * (high / low) ** shares if axis.is_geometric else low + shares * (high - low)
     return np.where(shares == 1.0, high, inner.clip(low, high))
 
 
 def events_between(runner: Runner, engine: Executor, lash: int, one: Floats, other: Floats) -> Codes:
-    """First event that only one run of each pair of points has, which makes their labels differ: (n,) of `EVENTS`.
+    """Events that make the labels of pairs of points differ, (n,) positions in `EVENTS`.
 
-    A touch is a grazing of its flank, another event is where a contact that held ended. With the same events, a contact
-    has held for the sticking time in one run only.
+    The first event that only one of a pair's two runs has decides. Where it is a touch, that flank is grazed; any other
+    event means that one run ends a contact that holds in the other; and one just before the end time, that the end time
+    is reached. Where both runs have the same events, a contact has held for the sticking time in one of them only.
 
     engine : of threads
-    lash : position of the one whose labels differ
-    one, other : the points, (n, keys of the runner)
+    lash : position of the lash whose labels differ
+    one, other : the two points of each pair, (n, keys of the runner)
     """
 
     def of_pairs(pairs: Floats) -> Codes:
@@ -214,9 +222,9 @@ def events_between(runner: Runner, engine: Executor, lash: int, one: Floats, oth
 
 
 def _differences(records: Records, logs: Records, end_time: float, lash: int) -> Codes:
-    """First event of a lash that only one of two runs has, from their CELL (n, 2) and EVENT (n, 2, events)."""
+    """Events that make the labels of pairs of runs differ, from their CELL (n, 2) and EVENT (n, 2, events)."""
     sides = np.where(records["status"] == Status.OK, records["initial_side"], 0)
-    # neither a change of a shaft's stage nor an event of another lash makes a label
+    # neither a change of a shaft's stage nor an event of another lash changes a label
     times = np.where((logs["kind"] == STAGE) | ((logs["lash"] >= 0) & (logs["lash"] != lash)), np.nan, logs["time"])
     order = np.isnan(times).argsort(axis=2, kind="stable")
     logs, times = np.take_along_axis(logs, order, 2), np.take_along_axis(times, order, 2)
@@ -224,7 +232,7 @@ def _differences(records: Records, logs: Records, end_time: float, lash: int) ->
     differ = abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
     for name in ("kind", "side"):
         differ |= logs[name][:, 0] != logs[name][:, 1]
-    differ |= ~is_event.all(axis=1)  # behind the last event of one
+    differ |= ~is_event.all(axis=1)  # beyond the last event of one of the runs
     first = differ.argmax(axis=1)
     times = np.where(is_event, times, np.inf)[np.arange(len(logs)), :, first]
     events = logs[np.arange(len(logs)), times.argmin(axis=1), first]

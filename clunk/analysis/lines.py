@@ -1,22 +1,24 @@
 """Tracing the lines between the labels of a map of two axes, by batches of runs.
 
-The cells in which labels differ are cut into triangles. Where the ends of an edge differ, a crossing is located
-(`clunk.analysis.search`), if it can be by continuing lines that are known (`Crossings`): they are smooth, and where one
-is expected two runs locate it. One operation refines what is not told well enough, a node on an edge: between two
-crossings of the same edge; on the far edge of a triangle whose line is further from its chord than `CHORD`, or which
-nodes on its other edges have made flat, as lines that leave by the far edge have no crossing there; and beside the
-crossings on the long edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
-When no line is left to follow, edges with a crossing are asked once for labels hidden beside it (`with_hidden`), and
-then flat triangles, too, whether their line is where its chord is.
-All that needs crossings to `_NEAR` only. Those that there are in the end are narrowed to the tolerance with the runs
-that are left, so that what lies where comes before its digits.
+The cells of the map are cut into triangles. On each edge whose two nodes have different labels a crossing is located
+(`clunk.analysis.search`). As lines are smooth, known lines are continued to the edge where that is possible
+(`Crossings`), and two runs then locate the crossing.
 
-It ends because it takes `_MOST_ROUNDS` rounds at most, and nodes are added only with the first part of the runs that
-there are (`most_runs`). Each round takes all edges and triangles that wait, so that where labels change on all scales
-nothing else has to. The network is closed whatever is cut, as it follows from the labels of the nodes alone: an edge is
-split in both of its triangles, two labels in a triangle are parted by one line from edge to edge, and three meet in a
-point. No triangle turns over, as the edges of one no higher than `_THIN` are not cut. Where a line is not located, its
-place is kept as unresolved.
+A line that is not known well enough is refined by one operation, a node on an edge: between two crossings of the same
+edge; on the far edge of a triangle whose line is further from its chord than `CHORD`, or which nodes on its other edges
+have made flat, as lines that leave through the far edge have no crossing there; and beside the crossings on the long
+edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
+When no line is left to follow, edges with a crossing are searched once for labels hidden beside it (`with_hidden`);
+then the lines in flat triangles are compared with their chords, too.
+Refinement needs crossings only to within `_NEAR`. The crossings of the final network are narrowed to the tolerance with
+the runs that are left, so that the course of the lines comes before its last digits.
+
+Tracing ends because it takes `_MOST_ROUNDS` rounds at most, and adds nodes only during the first part of the runs that
+it may take (`most_runs`). Each round takes all edges and triangles that wait, so that a place where labels change on
+all scales does not delay the others. The network is closed wherever edges are cut, as it follows from the labels of the
+nodes alone: an edge is split in both of its triangles, two labels in a triangle are parted by one line from edge to
+edge, and three meet in a point. No triangle turns over, as the edges of triangles no higher than `_THIN` are not cut.
+Where a line is not located, its place is kept as unresolved.
 """
 
 from collections.abc import Callable
@@ -27,59 +29,60 @@ from clunk.analysis.search import OFF_FAILURES, POINT, TOLERANCE, Points, narrow
 from clunk.results.labels import FAILED_CODE
 from clunk.study.arrays import Array, Bools, Codes, Floats, Nodes
 
-CHORD = 1.3e-4  # of the map, that a line may be off its chord
-JUNCTION = 5e-8  # of the map, a triangle in which three labels meet
+# Lengths of the map are those of its axes scaled from 0 to 1.
+CHORD = 1.3e-4  # of the map, the greatest distance of a line from its chord
+JUNCTION = 5e-8  # of the map, the longest edge of a triangle in which three labels meet at a point
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
-_THIN = 1e-11  # of the map, a triangle whose edges are not cut any more: its height would be lost in rounding
-_MOST_ROUNDS, _LAST_ROUNDS = 128, 8  # of these, those in which flat triangles are asked too
-_HALVINGS = 4  # of an edge, where another label may be hidden between two nodes of one label
+_THIN = 1e-11  # of the map: edges of triangles of at most this height are not cut, as rounding would lose the height
+_MOST_ROUNDS, _LAST_ROUNDS = 128, 8  # of all rounds, and of the last ones, in which flat triangles are checked, too
+_HALVINGS = 4  # of an edge in search of another label between two nodes of the same label
 _MOST_CROSSINGS = 4  # on an edge, that are told apart
-_LONG = 0.5  # of a triangle's longest edge
-_FLAT = 0.1  # of the far edge, the height over it of a triangle with several crossings on another edge, where it is cut
-_BESIDE = 0.03  # of the way from a crossing to the far end of its edge, where that is cut
-_RUNS_PER_CELL, _ON_ANY_MAP = 7, 5_000_000  # the latter over what a run costs
-TOUCHES = 10  # that take as long as a run without any
-_CUT, _ON_EDGES = 0.85, 0.95  # of these, with which edges are cut, and crossings located on edges
-_LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a crossing, or of several that are not parted
-_NEAR, _OF_EDGE = 7e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before it is narrowed
-_POINTS, _NEIGHBOURS = 4, 8  # crossings that continue a line, of so many that are the nearest
-_REACH = 15.0  # lengths of an edge, within which these are
-_OFF = 0.15  # of the change by the last of these, that a crossing may be off
-_OTHERS = 10.0  # maps: distance between crossings of other labels
+_LONG = 0.5  # of a triangle's longest edge, above which an edge is long
+_FLAT = 0.1  # of the far edge: one of a triangle less high over it, with several crossings on another edge, is cut
+_BESIDE = 0.03  # of the way from a crossing on a long edge to the edge's far end, the place of a node
+_RUNS_PER_CELL, _ON_ANY_MAP = 7, 5_000_000  # most runs: for each cell, and besides, this number over the cost of a run
+TOUCHES = 10  # touches that take as long as a run without any
+_CUT, _ON_EDGES = 0.85, 0.95  # shares of the most runs, up to which edges are cut, and crossings on new edges located
+_LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a located crossing, or of several that are not parted
+_NEAR, _OF_EDGE = 7e-5, 5e-3  # of the map and of the edge, the widest bracket of a crossing before the last narrowing
+_POINTS, _NEIGHBOURS = 4, 8  # crossings through which a line is continued, and nearest ones of which they are chosen
+_REACH = 15.0  # lengths of the edge to which a line is continued, the distance within which they lie
+_OFF = 0.15  # of the change by the last of these crossings, the error of the expected place
+_OTHERS = 10.0  # maps, the distance put between crossings of different labels so that the nearest ones are of the same
 _SHIFT = 32  # bits of a node's number in an edge's key
 
 
 def most_runs(cells: int, cost: int) -> int:
-    """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches.
+    """Most runs without touches for tracing the lines of a map, which only the last batch may exceed.
 
-    cells : of the map, and one more for each `TOUCHES` touches of their runs
+    cells : number of the map's cells, and one more for each `TOUCHES` touches of their runs
     cost : see `PointRuns`
     """
     return _ON_ANY_MAP // cost + _RUNS_PER_CELL * cells
 
 
 def _cost_of(runs: Points) -> int:
-    """Number of runs without touches that take as long as some runs."""
+    """Cost of runs: the number of runs without touches that take as long."""
     return runs.size + runs["touches"].sum() // TOUCHES
 
 
 def keys_of(first: Nodes, second: Nodes) -> Codes:
-    """Number of the edge between two nodes, whichever comes first."""
+    """Keys of the edges between pairs of nodes, whichever of the two comes first."""
     return (np.minimum(first, second) << _SHIFT) | np.maximum(first, second)
 
 
 def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
-    """The two nodes of edges, the smaller number first."""
+    """The two nodes of each edge of these keys, the smaller number first."""
     return keys >> _SHIFT, keys & ((1 << _SHIFT) - 1)
 
 
 def _following(corners: Array) -> Array:
-    """The entry behind each one in rows, (n, m, …), such as corners of triangles; behind the last the first."""
+    """The next entry after each one in rows, (n, m, …), such as corners of triangles; after the last, the first."""
     return np.roll(corners, -1, axis=1)
 
 
 def _edges(corners: Nodes) -> Codes:
-    """Numbers of the edges from each node to the one that follows in its row, (n, m)."""
+    """Keys of the edges from each node to the next in its row, and from the last to the first, (n, m)."""
     return keys_of(corners, _following(corners))
 
 
@@ -93,15 +96,15 @@ def _length(vectors: Floats) -> Floats:
 
 
 def _height(corners: Floats) -> Floats:
-    """The least height of triangles, (n,), whose corners are at some positions, (n, 3, 2)."""
+    """The least height of each triangle, (n,), by the positions of the corners, (n, 3, 2)."""
     sides = _following(corners) - corners
     return abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
 
 
 def _append(rows: Array, more: Array) -> None:
-    """Append rows to an array in place, which no other array may be a view of.
+    """Append rows to an array in place; no other array may be a view of it.
 
-    Nodes come a few at a time: a copy of all rows of a large map for each takes a fifth of the time of tracing it.
+    Nodes are added a few at a time: to copy all rows of a large map each time takes a fifth of the time of tracing it.
     """
     count = len(rows)
     rows.resize((count + len(more), *rows.shape[1:]), refcheck=False)
@@ -109,9 +112,10 @@ def _append(rows: Array, more: Array) -> None:
 
 
 class Triangles:
-    """The triangles of a map, two in each cell, and those that they become where their edges get nodes.
+    """Triangles of a map: two in each cell, which are halved where nodes are added on their edges.
 
-    positions, runs : (nodes, 2) float64, on each axis from 0 to 1, and (nodes,) POINT, first the map's, in C order
+    positions, runs : of the nodes, (nodes, 2) float64, on each axis from 0 to 1, and (nodes,) POINT; the nodes of the
+        map come first, in C order
     corners : (n, 3) nodes, anticlockwise
     is_new : (n,) whether a triangle was added since this was last cleared
     """
@@ -119,7 +123,7 @@ class Triangles:
     def __init__(self, across: Floats, upward: Floats, runs: Points) -> None:
         self.positions = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2).copy()
         self.runs = runs.flatten()
-        self.nodes = np.arange(runs.size).reshape(runs.shape)  # of the map
+        self.nodes = np.arange(runs.size).reshape(runs.shape)  # numbers of the map's nodes, in its shape
         a, b, c, d = self.nodes[:-1, :-1], self.nodes[1:, :-1], self.nodes[1:, 1:], self.nodes[:-1, 1:]
         self.corners = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3).copy()
         self.is_new = np.ones(len(self.corners), bool)
@@ -130,10 +134,10 @@ class Triangles:
         return self.runs["outcome"]
 
     def mixed(self, *, only_new: bool = False) -> tuple[Nodes, Nodes]:
-        """Triangles of two labels, the corner of the other label first, and triangles of three: (n, 3) nodes each."""
+        """Triangles of two labels, the corner of the single label first, and triangles of three: (n, 3) nodes each."""
         corners = self.corners[self.is_new] if only_new else self.corners
         one, other, third = self.outcome[corners].T
-        corners = corners[(one != other) | (other != third)]  # few of a large map's
+        corners = corners[(one != other) | (other != third)]  # few of the triangles of a large map
         labels = self.outcome[corners]
         alike = labels == _following(labels)
         two = alike.any(axis=1)
@@ -141,7 +145,7 @@ class Triangles:
         return np.take_along_axis(corners[two], turns, 1), corners[~two]
 
     def add(self, keys: Codes, positions: Floats, runs: Points) -> None:
-        """Add a node on each of these edges, of which none comes twice."""
+        """Add a node on each edge of these keys, of which none comes twice, and halve the triangles there."""
         order = keys.argsort()
         nodes = len(self.runs) + order
         _append(self.positions, positions)
@@ -154,9 +158,10 @@ class Triangles:
             near = self._halve(near, keys[order], nodes)
 
     def _halve(self, near: Nodes, keys: Codes, nodes: Nodes) -> Nodes:
-        """Halve each of some triangles at one of these nodes that is on an edge of it; returns all halves.
+        """Halve each triangle that has one of some nodes on an edge, at that node; returns the numbers of all halves.
 
-        keys : of the edges, ascending
+        near : numbers of the triangles
+        keys, nodes : edges, ascending, and the node on each
         """
         corners = self.corners[near]
         edges = _edges(corners)
@@ -173,13 +178,13 @@ class Triangles:
 
 
 class Crossings:
-    """Known crossings of lines with edges, by which the lines are continued to other edges.
+    """Known crossings of lines with edges, from which the lines are continued to other edges.
 
-    brackets, outcomes : ends of each crossing's bracket (n, 2, 2), and codes there (n, 2)
+    brackets, outcomes : ends of each crossing's bracket (n, 2, 2), and codes of the outcomes there (n, 2)
     """
 
     def __init__(self, brackets: Floats, outcomes: Codes) -> None:
-        from scipy.spatial import KDTree  # a third of a second: only where lines are traced
+        from scipy.spatial import KDTree  # takes a third of a second: only where lines are traced
 
         self._places = brackets.mean(axis=1).repeat(2, axis=0)
         self._ways = np.diff(brackets[:, [0, 1, 0]], axis=1).reshape(-1, 2)
@@ -187,10 +192,13 @@ class Crossings:
         self._tree = KDTree(np.column_stack([self._places, _OTHERS * sides]))
 
     def continued(self, begin: Floats, way: Floats, sides: Codes, but: Floats) -> Floats:
-        """Shares of the way along edges at which a line is expected, and by how much that may be off, (n, 2).
+        """Expected crossings of lines with edges, as shares of the way along each edge, and their errors, (n, 2).
 
-        It is the line between two outcomes (n, 2), continued by the polynomial through `_POINTS` crossings nearby but
-        for those at some places (n, k, 2). NaN where there are too few.
+        A polynomial through `_POINTS` crossings nearby continues each line. NaN where there are too few of these.
+
+        begin, way : of the edges, the first end and the vector to the other end, (n, 2) each
+        sides : outcomes at these two ends, which the line parts, (n, 2)
+        but : places of crossings that are left out, (n, k, 2)
         """
         shares = np.full((len(begin), 2), np.nan)
         if len(self._places) < _NEIGHBOURS:
@@ -202,7 +210,7 @@ class Crossings:
         rows = np.flatnonzero(is_near.sum(axis=1) >= _POINTS)
         places, way = places[rows] - begin[rows, None], way[rows, None] / length[rows, None] ** 2
         apart, points = np.where(is_near[rows], 1.0, -np.inf), np.empty((len(rows), _POINTS, 2))
-        for k in range(_POINTS):  # each as far from those before as can be
+        for k in range(_POINTS):  # each as far as possible from those before it
             points[:, k] = places[np.arange(len(rows)), apart.argmax(axis=1)]
             apart = np.minimum(apart, _length(places - points[:, k, None]))
         off, along = cross(way, points), (way * points).sum(axis=2)
@@ -216,15 +224,16 @@ class Crossings:
 
 
 class Lines:
-    """Lines of a map as they are traced; positions are on each axis from 0 to 1.
+    """Lines of a map while they are traced; positions are on each axis from 0 to 1.
 
     triangles : Triangles
     run : runs points (n, 2); returns (n,) POINT
     cost : see `PointRuns`
-    beside : cost of a run beside its own and that of its touches: preparing it, and the touches of other lashes
-    keys, brackets, runs : (n,) keys of edges with a crossing, ascending, and of each the two ends of its bracket
-        (n, 2, 2), from the first node on, and POINT there (n, 2)
-    met, met_labels : (m, 2) triple points, and the codes of the labels that meet there (m, 3)
+    beside : cost of each run, in runs without touches, that is not its own nor that of its touches: preparing its
+        driveline, and the touches of other lashes
+    keys, brackets, runs : (n,) keys of edges with a crossing, ascending; the two ends of each crossing's bracket
+        (n, 2, 2), the one nearer to the edge's first node first; and POINT at these ends (n, 2)
+    met, met_labels : (m, 2) triple points, and the codes of the labels that meet there (m, 3), set by `segments`
     unresolved : (n, 2) places where lines are not located
     """
 
@@ -232,7 +241,7 @@ class Lines:
         self.triangles, self._run_points = triangles, run
         self._most_runs, self._beside = most_runs(_cost_of(triangles.runs), cost), beside
         self._spent, self._rounds = 0, 0
-        self._asks_flat = False  # whether triangles not as high as `CHORD` are asked, too
+        self._asks_flat = False  # whether lines in triangles less high than `CHORD` are compared with their chords, too
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self._thin = np.zeros(0, np.int64)  # keys of edges of triangles no higher than `_THIN`
         self._cuts: list[tuple[Codes, Floats, Points]] = []
@@ -241,7 +250,7 @@ class Lines:
         self.unresolved = np.zeros((0, 2))
 
     def trace(self) -> None:
-        """Locate the crossings on edges, and add nodes, until all lines are told well enough or there are no runs."""
+        """Locate crossings on edges and add nodes until all lines are known well enough or the runs are used up."""
         for nodes in (self.triangles.nodes, self.triangles.nodes.T):
             self._find_hidden(_edges(nodes), self.triangles.positions[nodes], self.triangles.runs[nodes])
         self._follow()
@@ -256,7 +265,7 @@ class Lines:
         self.unresolved = np.concatenate([self.unresolved, self.triangles.positions[self._wide()].mean(axis=1)])
 
     def _follow(self) -> None:
-        """Locate crossings and add nodes, until nothing waits."""
+        """Add the nodes that wait and locate crossings on new edges, in rounds, until no node waits."""
         while self._cuts or not self._rounds:
             self.triangles.is_new[:] = not self._rounds
             for cut in self._cuts:
@@ -268,9 +277,9 @@ class Lines:
             self._refine()
 
     def segments(self) -> tuple[Codes, Codes]:
-        """Pieces of lines in triangles: the nodes at their ends (n, 2), and codes on their left and right.
+        """Pieces of lines in triangles: nodes at their ends (n, 2), and codes of the labels on their left and right.
 
-        A node is the key of an edge, or -1 - the number of a triple point.
+        A node is here the key of an edge with a crossing, or -1 minus the number of a triple point.
         """
         two, three = self.triangles.mixed()
         self.met = self.position(_edges(three).ravel()).reshape(-1, 3, 2).mean(axis=1)
@@ -292,14 +301,14 @@ class Lines:
         return self._may_run(_CUT) and self._rounds < _MOST_ROUNDS
 
     def bracket(self, keys: Codes) -> Floats:
-        """Ends of the brackets of the crossings on edges, (2, n, 2), from each edge's first node on."""
+        """Ends of the brackets of the crossings on edges, (2, n, 2), the end nearer to the edge's first node first."""
         return self.brackets[self.keys.searchsorted(keys)].swapaxes(0, 1)
 
     def _widths(self) -> Floats:
         return _length(self.brackets[:, 1] - self.brackets[:, 0])
 
     def position(self, nodes: Codes) -> Floats:
-        """Positions of nodes of segments, (n, 2)."""
+        """Positions of nodes as `segments` numbers them, (n, 2)."""
         positions = np.empty((nodes.size, 2))
         positions[nodes >= 0] = self.bracket(nodes[nodes >= 0]).mean(axis=0)
         positions[nodes < 0] = self.met[-1 - nodes[nodes < 0]]
@@ -308,8 +317,8 @@ class Lines:
     def _find_hidden(self, keys: Codes, places: Floats, runs: Points) -> None:
         """Cut edges on which another label is hidden between two known points of the same label.
 
-        keys : of the edge from each point to the next of its line (n, m), the last ones of no meaning
-        places, runs : of points on straight lines, in their order, (n, m, 2) and (n, m) POINT
+        keys : of the edge between each point and the next of its row (n, m); those of the last points have no meaning
+        places, runs : positions (n, m, 2) of points in rows along straight lines, in their order, and (n, m) POINT
         """
         begin, way = places[:, 0], places[:, -1] - places[:, 0]
         way /= _length(way)[:, None]
@@ -319,10 +328,10 @@ class Lines:
             return begin[lines] + values[:, None] * way[lines]
 
         points = runs.ravel()
-        found, before = with_hidden(points, lambda *at: self._run(place(*at)), _HALVINGS, self._may_cut)
-        hits = np.flatnonzero(found["outcome"] != points["outcome"][before])
+        every, before = with_hidden(points, lambda *at: self._run(place(*at)), _HALVINGS, self._may_cut)
+        hits = np.flatnonzero(every["outcome"] != points["outcome"][before])
         keys, first = np.unique(keys.ravel()[before[hits]], return_index=True)
-        runs = found[hits[first]]
+        runs = every[hits[first]]
         if keys.size:
             self._cuts.append((keys, place(runs["cell"], runs["value"]), runs))
 
@@ -341,7 +350,7 @@ class Lines:
         return keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
 
     def _locate(self) -> None:
-        """Locate crossings on new edges, nearly, and cut those with several between each two, so that none is lost."""
+        """Locate crossings on new edges to `_NEAR`, and cut edges between each two of several, so that none is lost."""
         keys = self._mixed_edges(only_new=True)
         keys = keys[~np.isin(keys, self.keys)]
         if not keys.size:
@@ -350,20 +359,20 @@ class Lines:
         brackets, runs = self.triangles.positions[nodes], self.triangles.runs[nodes]
         lines, ends, runs = self._crossings(keys, brackets, runs, _NEAR)
         edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
-        is_told = np.repeat(counts <= _MOST_CROSSINGS, counts)  # others are not narrowed
+        is_narrow = np.repeat(counts <= _MOST_CROSSINGS, counts)  # brackets on edges with more are left wide
         (node, last), added = ends_of(keys[edges]), len(self.triangles.runs)
-        while begins.size:  # of each edge the next crossing, and, if it is not the last, a node behind it
+        while begins.size:  # keep the next crossing of each edge, and add a node beyond it unless it is the last
             is_cut, beyond = counts > 1, last.copy()
             at = begins[is_cut]
             beyond[is_cut] = new = added + np.arange(at.size)
-            told, turned, brackets, pairs = is_told[begins], node > beyond, ends[begins], runs[begins]
+            kept, turned, brackets, pairs = is_narrow[begins], node > beyond, ends[begins], runs[begins]
             brackets[turned], pairs[turned] = brackets[turned, ::-1], pairs[turned, ::-1]
-            self._keep(keys_of(node, beyond)[told], brackets[told], pairs[told])
+            self._keep(keys_of(node, beyond)[kept], brackets[kept], pairs[kept])
             self._cuts.append((keys_of(node, last)[is_cut], 0.5 * (ends[at, 1] + ends[at + 1, 0]), runs[at, 1]))
             begins, counts, node, last, added = at + 1, counts[is_cut] - 1, new, last[is_cut], added + at.size
 
     def _sharpen(self) -> None:
-        """Narrow the brackets of the crossings that there are in the end."""
+        """Narrow the brackets of the crossings of the final network to `TOLERANCE`."""
         width = self._widths()
         at = np.flatnonzero(np.isin(self.keys, self._mixed_edges()) & (width > TOLERANCE) & (width < 2.0 * _NEAR))
         if at.size:
@@ -372,9 +381,13 @@ class Lines:
             )
 
     def _crossings(self, keys: Codes, brackets: Floats, runs: Points, tolerance: float) -> tuple[Codes, Floats, Points]:
-        """Crossings on edges within brackets, of which those nearer to each other than the tolerance are one.
+        """Locate crossings on edges within brackets (n, 2, 2), with runs at their ends (n, 2), to a tolerance.
 
-        Returns the numbers of the edges (n,), brackets (n, 2, 2), and runs at their ends (n, 2).
+        Crossings nearer to each other than `RESOLUTION` count as one, and so do all crossings of an edge that is not to
+        be cut: one of a thin triangle, and any edge once nodes may not be added or the tolerance is `TOLERANCE`.
+
+        Returns, for m crossings, the positions of their edges among the keys (m,), brackets (m, 2, 2), and runs at the
+        ends of these (m, 2).
         """
         first, second = ends_of(keys)
         begin = self.triangles.positions[first]
@@ -405,18 +418,19 @@ class Lines:
         is_apart &= ~np.isin(keys[edges[1:]], self._thin)
         is_parted = (edges[1:] != edges[:-1]) | is_apart
         low, high = low[np.append(True, is_parted)], high[np.append(is_parted, True)]
-        ends = np.stack([low, high], axis=1)[low["outcome"] != high["outcome"]]  # else a label without width
+        # where both ends have the same outcome, the label between them has no width
+        ends = np.stack([low, high], axis=1)[low["outcome"] != high["outcome"]]
         return ends["cell"][:, 0], place(ends["cell"], ends["value"]), ends
 
     def _keep(self, keys: Codes, brackets: Floats, runs: Points) -> None:
-        """Keep crossings: keys of the edges (n,), and brackets (n, 2, 2) and runs (n, 2) from the first node on."""
+        """Keep located crossings, see `Lines`: keys of their edges (n,), brackets (n, 2, 2) and runs (n, 2)."""
         every = np.concatenate([self.keys, keys])
         order = every.argsort()
         self.keys, self.brackets = every[order], np.concatenate([self.brackets, brackets])[order]
         self.runs = np.concatenate([self.runs, runs])[order]
 
     def _refine(self) -> None:
-        """Cut edges of new triangles whose lines are located, and not told well enough, or that have become flat."""
+        """Cut edges of new triangles whose line is located but not known well enough, or that have become flat."""
         two, three = self.triangles.mixed(only_new=True)
         positions = self.triangles.positions
         is_located, three = self._is_located(two), three[self._is_located(three)]
@@ -448,22 +462,25 @@ class Lines:
             self._cuts.append((keys, places[at], self._run(places[at])))
 
     def _is_located(self, corners: Nodes) -> Bools:
-        """Whether all crossings on the edges of triangles are located, one on each."""
+        """Whether every edge of a triangle that joins two labels has a located crossing, (n,), by corners (n, 3)."""
         labels = self.triangles.outcome[corners]
         return ((labels == _following(labels)) | np.isin(_edges(corners), self.keys)).all(axis=1)
 
     def _off_chord(self, corners: Nodes) -> tuple[Nodes, Floats]:
         """Triangles whose line may be off its chord by `CHORD`, with the edge to cut last, and where to cut it, (n, 2).
 
-        It is not where the labels are those of its sides as far from the chord's middle, at a right angle to it, or
-        where the triangle ends before that. Else the far edge is cut; of flat triangles the edge on which another label
-        is, where it is, as two crossings are hidden there. What is as thin as `RESOLUTION` is not cut.
+        A line counts as near its chord where lines, continued from crossings nearby, pass the chord's middle within
+        half of `CHORD`; or where two runs, off the middle at a right angle to the chord, have the labels of their
+        sides. These are at the distance `CHORD`, or where the way ends at the triangle's edge before that. Else the far
+        edge is cut; of a flat triangle the edge on which another label is, at that place, as two crossings are hidden
+        there. A triangle as thin as `RESOLUTION` is not cut. Once the runs are used up, every line may be off.
 
-        corners : of triangles of two labels, the one of the other label first
+        corners : (m, 3) of triangles of two labels, the corner of the single label first
         """
         ends = self.position(keys_of(corners[:, :1], corners[:, 1:]).ravel()).reshape(-1, 2, 2)
         positions, labels = self.triangles.positions[corners], self.triangles.outcome[corners[:, :2]]
-        limit = np.where((labels == FAILED_CODE).any(axis=1), OFF_FAILURES, CHORD)  # told to less, see `narrow`
+        # beside failed runs crossings are located less precisely, see `narrow`
+        limit = np.where((labels == FAILED_CODE).any(axis=1), OFF_FAILURES, CHORD)
         is_asked = (_length(ends[:, 1] - ends[:, 0]) > limit) & ((_height(positions) > limit) | self._asks_flat)
         corners, ends, labels, limit = corners[is_asked], ends[is_asked], labels[is_asked], limit[is_asked, None]
         positions = positions[is_asked]
@@ -471,12 +488,13 @@ class Lines:
         if not len(corners) or not self._may_run():
             return corners, places
         chord, middle, sides = ends[:, 1] - ends[:, 0], ends.mean(axis=1), _following(positions) - positions
-        back = chord[:, ::-1] * [1.0, -1.0] / _length(chord)[:, None]  # from the corner of the other label
+        back = chord[:, ::-1] * [1.0, -1.0] / _length(chord)[:, None]  # unit vector away from the corner listed first
         way = back * _length(sides).max(axis=1, keepdims=True)
         lines = Crossings(self.brackets, self.runs["outcome"])
         expected, error = lines.continued(middle - 0.5 * way, way, labels, ends).T
         is_near = (abs(expected - 0.5) + error) * _length(way) < 0.5 * CHORD
-        leaves = cross(sides, back[:, None])[:, None] * [[1.0], [-1.0]]  # ahead and back, through each side
+        # positive where the way ahead, toward that corner, or back comes nearer to a side
+        leaves = cross(sides, back[:, None])[:, None] * [[1.0], [-1.0]]
         inside = cross(sides, middle[:, None] - positions)[:, None]
         reach = np.divide(inside, leaves, out=np.full(leaves.shape, np.inf), where=leaves > 0.0)
         begins, reach = reach.argmin(axis=2), reach.min(axis=2)
@@ -497,15 +515,15 @@ class Lines:
             begin, end = self.triangles.positions[corners[:, 1:]].swapaxes(0, 1)
             along, length = end - begin, _length(end - begin)
             share = ((at_ends[off, side] - begin) * along).sum(axis=1) / length**2
-            share[abs(share - 0.5) * length > 0.5 * length - RESOLUTION] = 0.5  # at a node, or beyond it
+            share[abs(share - 0.5) * length > 0.5 * length - RESOLUTION] = 0.5  # rather than at a node or beyond it
             places = begin + share[:, None] * along
         return corners, places
 
     def _wide(self) -> Nodes:
-        """Triangles with an edge whose crossing is not located, (n, 3)."""
+        """Triangles with an edge on which the bracket of the crossing is too wide, (n, 3)."""
         mixed = np.concatenate(self.triangles.mixed())
-        # where runs were too few for all crossings, those as near as chords are will do
+        # where the runs did not suffice for all crossings, brackets as wide as `CHORD` will do
         far = _LOCATED if self._may_run(_ON_EDGES) else CHORD
-        fails = (self.runs["outcome"] == FAILED_CODE).any(axis=1)  # told to less, see `narrow`
+        fails = (self.runs["outcome"] == FAILED_CODE).any(axis=1)  # located less precisely, see `narrow`
         wide = self.keys[self._widths() > np.where(fails, OFF_FAILURES, far)]
         return mixed[np.isin(_edges(mixed), wide).any(axis=1)]

@@ -1,4 +1,4 @@
-"""What is marked on maps: loads at which impacts appear as the backlash vanishes (report §3.2), and ridges."""
+"""Marks on maps: load ratios at which impacts appear as the backlash vanishes (report §3.2), and ridges."""
 
 import numpy as np
 
@@ -9,20 +9,20 @@ from clunk.study.study import replace_values
 
 
 def thresholds_of(results: Map) -> list[float]:
-    """Values of the swept load at which one more impact appears as the backlash vanishes, by all modes when locked.
+    """Load ratios at which one more impact appears as the backlash vanishes, by all modes of the locked driveline.
 
-    Up to the 32nd impact: of lighter damping than 3 % there are more below a load ratio of 1000.
+    They end with the 32nd impact; with damping below 3 % there are more of them below a load ratio of 1000.
 
-    They are those of the load ratio, for a driveline in which all other keys have the values of these results; empty
-    where that does not change, where shafts have friction, of which the linear view knows nothing, and of several
-    lashes, which do not open one by one.
+    Keys of which the results have one value take that value, all others the config's. There are no such load ratios
+    where the load ratio is not swept or the load is no step, where shafts have friction, which is not linear, and for
+    several lashes, which do not open one by one.
     """
     if results.lashes or "load.ratio" not in [axis.parameter for axis in results.axes if len(axis) > 1]:
         return []
     study = study_from_text(results.config, "the results file's config")
     if study.load.profile != "step" or any(shaft.friction for shaft in study.driveline.shafts):
         return []
-    from clunk.simulation.small_gap import rigid_contact_thresholds  # 0.3 s, for no other map
+    from clunk.simulation.small_gap import rigid_contact_thresholds  # takes 0.3 s, which other maps need not
 
     fixed = {axis.parameter: axis.values[0] for axis in results.parameters if len(axis) == 1}
     return rigid_contact_thresholds(replace_values(study, fixed), 32).tolist()

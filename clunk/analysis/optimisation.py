@@ -1,9 +1,10 @@
-"""Optimisation: the values of some keys that minimise a key or a quantity while other quantities hold.
+"""Optimisation: the values of some keys that minimise a key or a quantity while conditions on quantities hold.
 
-The search is scipy's differential evolution, a generation of runs at a time, from several starts: each takes up the
-best of its half of the points of a space-filling exploration, since the regions of a label are thin and disconnected.
+The search is scipy's differential evolution, a generation of runs at a time, from several starts. Each start draws a
+random half of the points of a space-filling exploration, and begins with the best of these and some random ones, since
+the regions of a label are thin and disconnected.
 
-It ends by construction: generations and starts are counted beforehand.
+The search ends by construction: the numbers of starts and of generations are bounded beforehand.
 """
 
 import math
@@ -30,29 +31,29 @@ from clunk.study.study import Study, replace_values, takes_study
 from clunk.sweeping.progress import Progress, ShowProgress, reporting, unseen
 from clunk.sweeping.runner import Runner
 
-RELEASE_TIME = "release_time"  # s, from which on the load rests
+RELEASE_TIME = "release_time"  # s, time from which on the load rests
 _STARTS = 4
-_EXPLORED = 1 << 15  # runs
+_EXPLORED = 1 << 15  # runs of the exploration, or more
 _POPULATION = 16  # candidates of a generation for each free number
-_GENERATIONS = 300  # of a start, at most
-_SAME = 1e-3  # of the best value, by which those of starts that found the same differ
-FRONT = 9  # optima of a trade-off
+_GENERATIONS = 300  # most generations of a start
+_SAME = 1e-3  # share of the best value: starts whose values are as near to it as this have found the same optimum
+FRONT = 9  # most optima of a trade-off: one without a bound, and one for each of eight bounds
 
 
 class Optimum(Record, repr=False):
-    """The best values that were found, and what they give.
+    """The best values of the free keys that a search has found, and the results of their runs.
 
     study : Study with these values
     parameters : key -> value, in its unit
-    value : what is minimised
-    quantities : numbers, each the worst of all cells that the needed share of the drivelines stays within, and whether
-        each condition holds in all of them
-    margin : least distance of a run to another label; NaN where the method tells none
-    share : of the drivelines in which the conditions hold; None without tolerances
-    found : how many of the starts found this value
-    runs : how many it took, in a trade-off with those of the points before it
-    holds : whether all conditions do, and no run fails
-    changes : the free numbers and the quantities, as the config has them and of the best
+    value : of the minimised key or quantity, in its unit
+    quantities : name -> value; of a number the worst of all cells, which the needed share of the drivelines stays
+        within; of a condition whether it holds in all cells of all drivelines
+    margin : least size of the margin to another label, of all runs; NaN where the method knows none
+    share : share of the drivelines in which all conditions hold; None without tolerances
+    found : number of the starts that found this value, to a thousandth
+    runs : number of runs of the search; in a trade-off, with those of the optima before this one
+    holds : whether all conditions hold, and no run fails, in the needed share of the drivelines
+    changes : a row for each free number and quantity: its name, and its values by the config as it is and at the best
     """
 
     study: Study
@@ -69,13 +70,13 @@ class Optimum(Record, repr=False):
     @property
     @tells(SENTENCE)
     def sentence(self) -> str:
-        """Sentence where not all conditions hold."""
+        """Sentence that not all conditions hold; empty where they do."""
         nearest = "No values were found for which all conditions hold and no run fails; these come nearest."
         return "" if self.holds else nearest
 
 
 def _rests_from(loads: Floats) -> Floats:
-    """The times from which loads, (n, P, 5), rest  [s]; of one that goes on, when its last piece begins."""
+    """Times from which on loads, (n, P, 5), rest  [s]; of a load that never rests, when its last piece begins."""
     rests = (loads[..., LEVEL] == loads[:, -1:, LEVEL]) & (loads[..., SLOPE:] == 0.0).all(axis=-1)
     rests[:, -1] = True
     first = rests.shape[1] - np.logical_and.accumulate(rests[:, ::-1], axis=1).sum(axis=1)
@@ -83,7 +84,7 @@ def _rests_from(loads: Floats) -> Floats:
 
 
 class Front(Record, repr=False):
-    """A trade-off: the least of what is minimised for each of several bounds on a quantity, by falling bounds."""
+    """Trade-off: the optimum without a bound on a quantity, and the optima under bounds on it, which fall."""
 
     points: tuple[Optimum, ...] = told()
 
@@ -96,14 +97,14 @@ class Front(Record, repr=False):
     @property
     @tells("trade-off")
     def values(self) -> list[dict[str, float]]:
-        """Both values, and the free numbers, of each optimum."""
+        """For each optimum, the minimised value, the bounded quantity and the free numbers, by name."""
         return [{name: best.quantities[name] for name in self.traded} | best.parameters for best in self.points]
 
 
 class Outcomes(NamedTuple):
     """Results of candidates, (n,) each: see `Optimum`.
 
-    excess : how far the needed share of the drivelines is from meeting the conditions, in [0, 2); 0 where it does
+    excess : how far the needed share of the drivelines is from meeting the conditions, in [0, 2]; 0 where it does
     """
 
     value: Floats
@@ -114,17 +115,17 @@ class Outcomes(NamedTuple):
 
 
 class Problem:
-    """Runs of candidates for the free numbers of a study, and how good they are.
+    """Optimisation problem of a study: runs candidates for the free numbers, and rates them.
 
-    asked : the study, with [optimize]; in a trade-off, with the bound
-    lash, workers : as of `optimize`
-    traded : quantity that is told besides, if any
-    bound : condition on it that is to hold besides, if any
-    minimized : name of what is minimised
-    progress : called with the number of runs so far, and the most that there can be
-    searches : the most that there can be
-    size : that values of what is minimised are measured by, in its unit
-    as_it_is : candidate of the config's own values
+    asked : the study, with [optimize]; in a trade-off, with the present bound among its conditions
+    lash, workers : as in `optimize`
+    traded : quantity that a trade-off bounds, if any; outcomes have its values as well
+    bound : present bound on the traded quantity, a condition to hold besides those of the config, if any
+    minimized : name of the minimised key or quantity
+    progress : called with the number of runs so far, and the most runs of the whole search
+    searches : most searches that follow the exploration
+    size : scale of the minimised value, in its unit, by which the merit divides it
+    as_it_is : (1, parameters) candidate of the config's own values, NaN
     """
 
     def __init__(
@@ -179,58 +180,59 @@ class Problem:
 
     @property
     def _filling(self) -> int:
-        """The number of points that fill the space of the free numbers, a power of two as Sobol's are."""
+        """Number of points of the exploration, a power of two as Sobol' points need."""
         return 1 << math.ceil(math.log2(max(_EXPLORED // math.prod(self.shape), 2 * _POPULATION * self.low.size)))
 
     @property
     def most(self) -> int:
-        """The most runs that all searches take."""
+        """Most runs that the exploration and all searches may take."""
         of_search = 1 + _STARTS * (self.low.size * _POPULATION * (_GENERATIONS + 1) + 1)
         return (1 + self._filling + self.searches * of_search) * math.prod(self.shape)
 
     def explore(self) -> tuple[Floats, Floats]:
-        """Run points that fill the space of the free numbers, (n, parameters); also returns what these runs give."""
+        """Run space-filling points of the free numbers; returns them, (n, parameters), and the values of their runs."""
         from scipy.stats import qmc
 
         design = qmc.Sobol(self.low.size, seed=np.random.default_rng(self.optimize.seed))
         points = qmc.scale(design.random(self._filling), self.low, self.high)
         corners = [*islice(product(*zip(self.low, self.high, strict=True)), self._filling // 2)]
-        points[: len(corners)] = corners  # which no search meets by chance
+        points[: len(corners)] = corners  # a search meets no corner by chance
         values = self._run_allowed(points)
-        if not 0.0 < self.size < math.inf:  # the config as it is fails, or tells no size
+        if not 0.0 < self.size < math.inf:  # the runs of the config as it is fail, or have the value 0
             self.size = np.median(abs(np.nan_to_num(self.outcomes(points, values).value, posinf=1.0))) or 1.0
         return points, values
 
     def __call__(self, candidates: Floats) -> Outcomes:
-        """Run candidates, (n, parameters); NaN stands for the config's own values."""
+        """Run candidates, (n, parameters), and return their outcomes; NaN stands for the config's own values."""
         return self.outcomes(candidates, self._run_allowed(candidates))
 
     def _run_allowed(self, candidates: Floats) -> Floats:
-        """What `_run` gives of candidates, and NaN of those whose values no config may have."""
+        """Values of `_run` for candidates, (n, parameters), and NaN for those whose values no config may have."""
         values = np.full(
             (len(candidates), math.prod(self.shape), 2 + len(self._numbers) + len(self._conditions)), np.nan
         )
-        allowed = in_halves(self._are_allowed, candidates, np.zeros(1, bool))  # in halves, so that all run together
+        # checked by itself, so that all allowed candidates run in one batch
+        allowed = in_halves(self._are_allowed, candidates, np.zeros(1, bool))
         if allowed.any():
             values[allowed] = in_halves(self._run, candidates[allowed], values[:1])
         return values
 
     def outcomes(self, candidates: Floats, values: Floats) -> Outcomes:
-        """Outcomes of candidates, (n, parameters), from what their runs give, (n, runs, each)."""
+        """Outcomes of candidates, (n, parameters), from the values that `_run` has of them, (n, runs, values)."""
         shape = (len(candidates), *self.shape)
-        margin, fails, *found = np.moveaxis(values, 2, 0)
+        margin, fails, *terms = np.moveaxis(values, 2, 0)
 
         def worst(values: Floats) -> Floats:
-            """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
+            """Worst value over the cells for each driveline, (n, drivelines); that of a failed run is infinite."""
             return np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1)
 
         lacks = worst(fails)
-        quantities: dict[str, Array] = {self.minimized: lacks}  # first; its values follow
-        for condition, beyond in zip(self._conditions, found[len(self._numbers) :], strict=True):
+        quantities: dict[str, Array] = {self.minimized: lacks}  # keeps the first place; its values are set below
+        for condition, beyond in zip(self._conditions, terms[len(self._numbers) :], strict=True):
             lacking = worst(beyond)
             lacks += lacking
             quantities[condition.name] = (lacking == 0.0).all(axis=1)
-        numbers = {each.name: worst(values) for each, values in zip(self._numbers, found, strict=False)}
+        numbers = {each.name: worst(values) for each, values in zip(self._numbers, terms, strict=False)}
         parameters = self.parameters(candidates)
         if self.minimized in parameters:
             numbers[self.minimized] = np.tile(parameters[self.minimized][:, None], shape[2])
@@ -254,30 +256,33 @@ class Problem:
         return Outcomes(quantities[self.minimized], excess, share, margin, quantities)
 
     def _are_allowed(self, candidates: Floats) -> Bools:
-        """(n,) true for each of the candidates. Raises ConfigError where a config may not have the values of one."""
+        """True for each candidate, (n,). Raises ConfigError where no config may have the values of one of them."""
         self._runner.checked(self._runner.values(self._columns(candidates)))
         return np.ones(len(candidates), bool)
 
     def _run(self, candidates: Floats) -> Floats:
-        """Margin, NaN where one fails or 0, numbers, and how far each condition is from being met, (n, runs, each)."""
+        """Run candidates, (n, parameters), and return values of each run, (n, runs, 2 + numbers + conditions).
+
+        These are its margin, 0 or NaN where it fails, its numbers, and how far it is from meeting each condition.
+        """
         results = self._runner.run(self._runner.values(self._columns(candidates)), self._tell).of_lash(self._lash)
         self.runs += results.sequence.size
         fails = np.where(results.status == Status.OK, 0.0, np.nan)
-        found = [results.margin, fails, *(quantity.compared(results) for quantity in self._numbers)]
+        terms = [results.margin, fails, *(quantity.compared(results) for quantity in self._numbers)]
         for condition in self._conditions:
-            # a number lacks its distance from its bound; a label, or what holds or not, the speed of the impacts
+            # an unmet bound on a number costs the distance from it; any other condition the speed of the impacts
             beyond = results.approach_velocity
             base, bound = condition.base, condition.bound
             if base is not None and base.type != YES_NO and isinstance(bound, float):
                 beyond = abs(base.compared(results) - bound) / (abs(bound) or 1.0)
-            found.append(np.where(condition.of_runs(results) == 1.0, 0.0, 0.1 + beyond))  # NaN where a run failed
-        return np.stack(found, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(found))
+            terms.append(np.where(condition.of_runs(results) == 1.0, 0.0, 0.1 + beyond))  # NaN where a run failed
+        return np.stack(terms, axis=-1).astype(np.float64).reshape(len(candidates), -1, len(terms))
 
     def _tell(self, done: int, _total: int) -> None:
         self.progress(self.runs + done, max(self.runs + done, self.most))
 
     def parameters(self, candidates: Floats) -> dict[str, Floats]:
-        """Values of the free keys, (n,) each, by candidates, (n, parameters)."""
+        """Values of the free keys, (n,) each, of candidates, (n, parameters); for NaN the config's own value."""
         return {
             key: np.where(np.isnan(column), nominal_value(self.study, key), column)
             for free, column in zip(self.optimize.parameters, candidates.T, strict=True)
@@ -290,7 +295,7 @@ class Problem:
         return np.where(outcomes.excess > 0.0, 1.0 + outcomes.excess, value / (1.0 + abs(value)) - 1e-9)
 
     def _columns(self, candidates: Floats) -> dict[str, Floats]:
-        """Values of all keys in the runs of candidates, for each its cells, and in each cell its draws."""
+        """Values of all keys in the runs of candidates, (n cells draws,) each, in C order of the three."""
         columns = {key: values[:, None, None] for key, values in self.parameters(candidates).items()}
         columns |= {key: values[:, None] for key, values in self._cells.items()}
         columns = with_draws(self.study, columns, self._tolerances, self._drawn)
@@ -300,7 +305,7 @@ class Problem:
 
 @contextmanager
 def _errors_of(key: str) -> Iterator[None]:
-    """Context whose errors begin with a key of [optimize]."""
+    """Context manager that puts a key of [optimize] before the message of a ClunkError."""
     try:
         yield
     except ClunkError as error:
@@ -326,14 +331,14 @@ def optimize(
     Parameters
     ----------
     study : Study
-        With [optimize]. Over axes a quantity is its worst, and conditions hold in all cells; with tolerances, for the
-        share `robust` of the drawn drivelines.
+        With [optimize]. With axes, a quantity is its worst value over all cells, and conditions must hold in each of
+        them; with tolerances, both are so for the share `robust` of the drawn drivelines.
     lash : str, optional
-        Of several lashes, the one that is meant, by name or number; by default the first.
+        Of several lashes, the one whose quantities are meant, by name or number; by default the first.
     workers : int, optional
-        Threads.
+        Threads; by default one for each core that this process may use.
     progress
-        As of `clunk.sweep`; runs are counted, of the most that there can be.
+        As in `clunk.sweep`; it counts runs, of the most that the search may take.
 
     Returns
     -------
@@ -342,9 +347,9 @@ def optimize(
     Raises
     ------
     ClunkError
-        Where there is nothing to optimise.
+        Where the config has no [optimize], or what it names cannot be minimised, bounded or searched.
     KeyboardInterrupt
-        With the best so far as its first argument, an Optimum, once the space of the free numbers has been explored.
+        With the best so far as its first argument, an Optimum, once the exploration is complete.
 
     Examples
     --------
@@ -366,12 +371,14 @@ def front(
     workers: int | None = None,
     progress: ShowProgress = False,
 ) -> Front:
-    """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
+    """Find the least minimised value without a bound on another quantity, and under each of several bounds on it.
 
-    The points that fill the space of the free numbers are run once, for all of them.
+    Eight bounds fall in equal steps from the quantity at the optimum without a bound to 0. A bound within which the
+    optimum before it lies is left out, and the first that cannot be met ends the trade-off. The exploration is run
+    once, for all of them.
 
     quantity : a number, such as severity
-    lash, workers, progress : as of `optimize`
+    lash, workers, progress : as in `optimize`
 
     Raises ClunkError where no values are found for which all conditions hold, and KeyboardInterrupt with the Front so
     far as its first argument, or as `optimize` does.
@@ -392,15 +399,15 @@ def front(
         try:
             for bound in np.unique(np.linspace(0.0, points[0].quantities[quantity], FRONT))[-2::-1]:
                 if points[-1].quantities[quantity] <= bound:
-                    continue  # the best within a wider bound, and so within this one
+                    continue  # the best within a wider bound is within this one, too
                 condition = f"{quantity}<={bound:.6g}"
                 problem.bound = quantity_of(condition, study)
                 bounded = table.but(subject_to=(*table.subject_to, condition))
                 problem.asked = study.but(optimize=bounded)
-                found = _best(problem, *explored)
-                if not found.holds:
-                    break  # nor does what is tighter
-                points.append(found)
+                optimum = _best(problem, *explored)
+                if not optimum.holds:
+                    break  # a tighter bound cannot be met either
+                points.append(optimum)
         except KeyboardInterrupt as stopped:
             stopped.args = (Front(tuple(points)),)
             raise
@@ -408,7 +415,10 @@ def front(
 
 
 def _best(problem: Problem, points: Floats, values: Floats) -> Optimum:
-    """The best of all starts from points that were explored. Raises KeyboardInterrupt as `optimize` does."""
+    """The best optimum of all starts, from explored points and the values of their runs, see `Problem.explore`.
+
+    Raises KeyboardInterrupt as `optimize` does.
+    """
     merits, found = problem.merit(problem.outcomes(points, values)), []
     try:
         for start in range(_STARTS):
@@ -421,7 +431,7 @@ def _best(problem: Problem, points: Floats, values: Floats) -> Optimum:
 
 
 def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:
-    """The best candidate of one start, (parameters,), from half of the points that were explored."""
+    """The best candidate of one start, (parameters,), from a random half of the explored points and their merits."""
     from scipy.optimize import Bounds, differential_evolution
 
     size = _POPULATION * problem.low.size
@@ -442,7 +452,7 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
 
 
 def _optimum(problem: Problem, found: Sequence[Floats]) -> Optimum:
-    """The best of the candidates that starts have found."""
+    """Optimum of the best of the candidates that starts have found, (parameters,) each."""
     outcomes = problem(np.array(found))
     k = int(problem.merit(outcomes).argmin())
     holds = bool(outcomes.excess[k] == 0.0 and np.isfinite(outcomes.value[k]))

@@ -1,18 +1,20 @@
-"""Searches for the values at which an outcome of runs changes, in many cells side by side, a batch of runs a step.
+"""Searches for the values at which an outcome of runs changes: many cells side by side, one batch of runs per step.
 
-A cell is whatever the runs differ in besides: a driveline, a line across a map. Known points of each, in the order of
-their values, are looked through (`with_hidden`): where outcomes may change and change back between two of them, further
-ones are run. Between neighbours of different outcome lies a bracket, which is narrowed (`narrow`).
+A cell is the set of runs that differ in the searched value alone: those of one driveline, or on one line across a map.
+`with_hidden` goes through the known points of each cell in the order of their values, and runs further points where the
+outcome may change and change back between two of them. Two neighbours of different outcome are a bracket, and `narrow`
+narrows the brackets.
 
-What decides is the outcomes of a bracket's two ends. Where to look is said by a number of the runs (the margin, or how
-much a severity exceeds its bound), if it changes sign with them: on either side of the place where the secant through
-the ends is zero. As the number may belong to another change, or jump at this one, a bracket that has not been halved so
-is halved next.
-Where further outcomes lie within a bracket, it becomes several. Who knows more about where to look may say so first.
+The outcomes at its ends decide what becomes of a bracket; the measure, a number of the runs such as the margin or the
+excess of a severity over its bound, says where to run next. Where it changes sign between the ends, the next two runs
+are on either side of the zero of the secant through them, else one is in the middle. As the measure may belong to
+another change, or jump at this one, a bracket that a step has not halved is bisected in the next.
+A bracket with further outcomes in it becomes several. A caller that knows more about the place of a change may guess it
+first.
 
-It ends: of two steps in a row one halves a bracket at least, but for `_GUESSES` of two outcomes, and where a bracket
-becomes more than a number that is stated beforehand, those are given up as they are. Between two points `_LOOKED` runs,
-and those of one halving more at most, look for what is hidden.
+A search ends: of two steps in a row one halves a bracket at least, but for `_GUESSES` guesses for each two outcomes;
+and where a bracket becomes more brackets than a number that is given beforehand, these are left as they are. In search
+of hidden outcomes, at most `_LOOKED` runs are made between two points, and those of one more halving.
 """
 
 from collections import Counter
@@ -35,31 +37,36 @@ from clunk.study.study import Study
 from clunk.sweeping.progress import Progress, unseen
 from clunk.sweeping.runner import Runner
 
-# A run of a cell at a value: the code of its outcome, a number that changes sign where that does, NaN where none is
-# known, and its number of touches.
+# A run of a cell at a value: the code of its outcome; its measure, a number that changes sign where the outcome does,
+# NaN where none is known; and its number of touches.
 POINT = record_of(cell="i8", value="f8", outcome="i8", measure="f8", touches="i8")
 Points = Records  # POINT
-Run = Callable[[Codes, Floats], Points]  # runs cells at values, (n,) each; these need not be in its points
+Run = Callable[[Codes, Floats], Points]  # runs cells at values, (n,) each; its points may lack these two fields
 
-TOLERANCE = 1e-9  # of the span, the widest that a bracket ends
-# likewise where runs begin to fail: that says how far they were followed, no physics, and runs of 10⁵ events take half
-# a second each
+TOLERANCE = 1e-9  # of the span, the greatest width of a narrowed bracket
+# likewise with a failed run at one end: where runs begin to fail says how far they were followed, which is no physics,
+# and runs of 10⁵ events take half a second each
 OFF_FAILURES = 1e-3
-_TOUCHES_OF_A_RUN = 50  # for so many more touches a run counts as one more run
-_TOUCHES = 2  # by which neighbours differ where something may be hidden between them
-_STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
-_LOOKED = 64  # runs between two points that look for what is hidden, but for those of the last halving
-_BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
-_BENT = 0.2  # times the bracket's width squared, by which a secant may be off
-_GUESSES, _FURTHER = 2, 10.0  # times that a guess is tried, the second time so much further off
-_STALLED = 0.5  # of its width, which a bracket is expected to fall below
+_TOUCHES_OF_A_RUN = 50  # touches that count as one more run
+_TOUCHES = 2  # difference in touches of two neighbours from which on thresholds may be hidden between them
+_STEEPER = 2.0  # times the slope between known points, as the measure may be steeper between them
+_LOOKED = 64  # most runs between two points in search of hidden outcomes, but for those of the last halving
+_BESIDE = 0.45  # tolerances, least distance of two runs from the expected place: a bracket of the two is narrow enough
+_BENT = 0.2  # times the bracket's width squared over the span, by which the zero of a secant may be off
+_GUESSES, _FURTHER = 2, 10.0  # guesses for the same two outcomes; the second has so many times the distance from it
+_STALLED = 0.5  # of its width, the greatest width of a bracket after a step that is not followed by a bisection
 
 
-# --- Axes along which is searched
+# --- Axes of a search
 
 
 def grid_axes(study: Study, what: str) -> ResultAxes:
-    """Axes of a study's grid, between whose values thresholds or boundaries lie. Raises ClunkError where it is none."""
+    """Axes of a study's grid, between whose values thresholds or boundaries lie.
+
+    what : these, as a message's first word
+
+    Raises ClunkError where the study sweeps no grid.
+    """
     swept = study.swept
     if not swept.axes or swept.samples or swept.design == "zip":
         raise ClunkError(
@@ -70,7 +77,7 @@ def grid_axes(study: Study, what: str) -> ResultAxes:
 
 
 def check_axis(study: Study, axis: ResultAxis, what: str) -> None:
-    """Raise ClunkError where nothing lies between the values of an axis."""
+    """Raise ClunkError where an axis is of whole numbers, or has one value or the same one twice."""
     is_whole = located(study, axis.parameter)[1].whole
     if is_whole or len(np.unique(axis.values)) < max(len(axis), 2):
         lies = "is a whole number, between whose values nothing lies" if is_whole else "has one value, or one twice"
@@ -83,13 +90,14 @@ def check_axis(study: Study, axis: ResultAxis, what: str) -> None:
 def with_hidden(
     points: Points, run: Run, halvings: int, may_run: Callable[[], bool] = lambda: True
 ) -> tuple[Points, Codes]:
-    """Points (n,) and further ones where other outcomes may be hidden between two of them, in the same order.
+    """Add points between neighbours of the same outcome where other outcomes may be hidden.
 
-    points : in the order of cells and, in each, of values
-    halvings : of the spacing between two points
-    may_run : asked before each batch
+    Returns the points with the added ones, (m,), in the same order, and the number of the given point at or before each
+    of them, (m,).
 
-    Also returns the number of the point at or before each, (m,).
+    points : (n,) in the order of cells and, in each, of values
+    halvings : most halvings of the spacing between two points
+    may_run : called before each batch; once it returns False no more points are added
     """
     before, looked = np.arange(points.size), np.zeros(points.size, np.int64)
     for _ in range(halvings):
@@ -106,14 +114,14 @@ def with_hidden(
 
 
 def _may_hide(points: Points) -> Bools:
-    """Whether thresholds may be hidden between each point and the next, of one cell and of the same outcome."""
+    """Whether thresholds may be hidden between each point and the next, (n - 1,): both of one cell and one outcome."""
     left, right = points[:-1], points[1:]
     alike = (left["cell"] == right["cell"]) & (left["outcome"] == right["outcome"]) & (left["outcome"] != FAILED_CODE)
     hidden = abs(right["touches"] - left["touches"]) >= _TOUCHES
     width, least = right["value"] - left["value"], abs(points["measure"])
-    with np.errstate(invalid="ignore"):  # where a bracket begins at a known point
+    with np.errstate(invalid="ignore"):  # 0/0 where a bracket begins at a known point
         slope = abs(np.diff(least)) / width
-    # whatever the signs: across a sliver a margin may pass from what did not happen to what did
+    # whatever the signs: across a sliver a margin may pass from an event not reached to one that was passed
     is_dip = alike[:-1] & alike[1:] & (least[1:-1] <= np.minimum(least[:-2], least[2:]))
     slope = _STEEPER * np.maximum(slope[:-1], slope[1:])
     hidden[:-1] |= is_dip & (least[1:-1] < slope * width[:-1])
@@ -122,7 +130,7 @@ def _may_hide(points: Points) -> Bools:
 
 
 def _changes(points: Points, parts: Codes) -> Codes:
-    """Positions of the points (n,) whose outcome differs from the next one's, where that is in the same part (n,)."""
+    """Positions of the points (n,) whose outcome differs from that of the next point, if both are in one part (n,)."""
     return np.flatnonzero((parts[:-1] == parts[1:]) & (points["outcome"][:-1] != points["outcome"][1:]))
 
 
@@ -135,23 +143,25 @@ def narrow(
     tolerances: Floats | None = None,
     guess: Callable[[Points], Floats] | None = None,
 ) -> tuple[Points, Points]:
-    """Narrow the brackets between points of different outcome to `TOLERANCE` of the span, by cell and value.
+    """Narrow the brackets between neighbouring points of different outcome to `TOLERANCE` of the span.
 
-    Returns their lower and their upper ends. Those of which one end is a failed run are narrowed to `OFF_FAILURES`.
+    Returns the lower and the upper ends of the narrowed brackets, in the order of cells and values. Brackets with a
+    failed run at one end are narrowed to `OFF_FAILURES` of the span only.
 
     points : (n,) in the order of cells and, in each, of values
-    most : that one of the brackets may become; those of one that becomes more are returned as wide as they are
-    may_run : asked before each batch; once it says no, all brackets are returned as wide as they are
-    tolerances : of each cell, in place of `TOLERANCE` of the span
-    guess : of brackets, (n, 2) POINT, where outcomes are expected to change and how far off that may be, (n, 2), NaN
-        where that is unknown; asked `_GUESSES` times for the same two outcomes
+    most : brackets that one of the first brackets may become; where it becomes more, all are returned as wide as they
+        are then
+    may_run : called before each batch; once it returns False, all brackets are returned as wide as they are then
+    tolerances : greatest width of a narrowed bracket in each cell, in place of `TOLERANCE` of the span
+    guess : returns, for brackets, (n, 2) POINT, the values at which outcomes are expected to change and how far off
+        these may be, (n, 2), NaN where unknown; called `_GUESSES` times at most for the same two outcomes
     """
     ends = points.take(_changes(points, points["cell"])[:, None] + np.arange(2))
     may_guess = 0 if guess is None else _GUESSES
-    guesses = np.full(len(ends), may_guess)  # that are left
+    guesses = np.full(len(ends), may_guess)  # guesses left for each bracket
     is_slow, narrowed = np.zeros(len(ends), bool), [ends[:0]]
-    origin, begun = np.arange(len(ends)), len(ends)  # of each bracket the one that it is a part of
-    finished = np.zeros(begun, np.int64)  # parts of each
+    origin, begun = np.arange(len(ends)), len(ends)  # the first bracket that each bracket is a part of
+    finished = np.zeros(begun, np.int64)  # finished parts of each first bracket
     while True:
         low, high = ends["value"].T
         width, middle = high - low, 0.5 * (low + high)
@@ -159,7 +169,7 @@ def narrow(
         tolerance = TOLERANCE * span if tolerances is None else tolerances[ends["cell"][:, 0]]
         wide = width > np.where(has_failed, OFF_FAILURES * span, tolerance)
         wide &= (low < middle) & (middle < high) & may_run()
-        rest = np.flatnonzero(wide)  # `take` does with records in a tenth of the time what indexing does
+        rest = np.flatnonzero(wide)  # of records, `take` needs a tenth of the time of indexing
         finished += np.bincount(origin[~wide], minlength=begun)
         crowded = finished + np.bincount(origin[rest], minlength=begun) > most
         rest = rest[~crowded[origin[rest]]]
@@ -170,7 +180,7 @@ def narrow(
         if not len(ends):
             break
         first, last = ends["measure"].T
-        with np.errstate(invalid="ignore", divide="ignore"):  # where the measure, linear between the ends, is zero
+        with np.errstate(invalid="ignore", divide="ignore"):  # the zero of the secant through the ends
             place = np.where(first * last <= 0.0, low - first * width / (last - first), np.nan)
         off = np.maximum(_BENT / span * width**2, _BESIDE * tolerance)
         halved = is_slow | np.isnan(place)
@@ -208,13 +218,13 @@ def narrow(
 
 Word = str | bool | int  # an outcome: a label, whether something holds, or a count
 
-_STEPS = 100  # of a run that take as long as a unit of `PointRuns.cost`
+_STEPS = 100  # time steps of a run that take as long as one unit of `PointRuns.cost`
 
 
 def in_halves(run: Callable[[Floats], Array], points: Floats, refused: Array) -> Array:
-    """Results of `run` at points, in parts where it raises ConfigError; of one that no config may hold it is `refused`.
+    """Results of `run` at points, halved where it raises ConfigError; for one that no config may hold, `refused`.
 
-    Between values that are allowed there may be some that are not, such as a ratio of zero.
+    Between two allowed values there may be one that is not allowed, such as a ratio of zero.
     """
     try:
         return run(points)
@@ -236,10 +246,11 @@ class PointRuns:
     study : Study
     parameters : dotted keys
     outcome : Quantity
-    lash : position of the one whose outcome it is
+    lash : position of the lash whose outcome it is
     engine : of threads
-    words : outcomes that have codes already; others get the next ones
-    progress : called as a batch begins and after each part of it with the number of points that have been run, and 0
+    words : outcomes whose codes are their positions here; further outcomes get the next codes
+    progress : called as a batch begins, and after each part of it, with the number of points that have been run, and
+        with 0 for their total, which is not known
     """
 
     def __init__(
@@ -261,13 +272,16 @@ class PointRuns:
 
     @property
     def cost(self) -> int:
-        """Cost of a run, relative to other studies': 23 of one lash by gap, without friction or stages."""
+        """Cost of a run without touches, relative to other studies; 23 for one lash by gap, no friction and no stages.
+
+        The cost is greater where a run has more than `_STEPS` steps for each unit.
+        """
         grid = self.runner.grid
         return max(round(grid.steps() / _STEPS), 20 + count_of_regimes(grid.study))
 
     @property
     def preparing(self) -> int:
-        """Cost of preparing a driveline, in runs without touches, where each run has its own."""
+        """Cost of preparing a driveline, in runs without touches; 0 where all runs share one driveline."""
         study = self.runner.study
         return bool(self.runner.grid.structural) * count_of_flows(study) * len(study.driveline.inertias) ** 2 // 6
 
@@ -278,12 +292,12 @@ class PointRuns:
     def _run(self, values: Floats) -> Points:
         results = self.runner.run(values, lambda done, _: self._progress(self.count + done, 0)).of_lash(self._lash)
         points = _failed(len(values))
-        is_cut = results.status == Status.EVENT_BUFFER_FULL  # after as many as there may be
+        is_cut = results.status == Status.EVENT_BUFFER_FULL  # cut off after the most events that a run may have
         points["touches"] = np.where(is_cut, self.runner.study.solver.max_events, results.touches)
         finished = results.status == Status.OK
-        found = self.outcome.of_runs(results)[finished]
-        # what is not defined is NaN, of which nothing holds
-        words, inverse = np.unique(found == 1.0 if self.outcome.type == YES_NO else found, return_inverse=True)
+        outcomes = self.outcome.of_runs(results)[finished]
+        # a condition on a quantity that is not defined is NaN, and does not hold
+        words, inverse = np.unique(outcomes == 1.0 if self.outcome.type == YES_NO else outcomes, return_inverse=True)
         words = words.astype({TEXT: str, YES_NO: bool}.get(self.outcome.type, int))
         known = [self._codes.setdefault(word, len(self._codes)) for word in words.tolist()]
         points["outcome"][finished] = np.array(known, np.int64)[inverse]
@@ -293,7 +307,7 @@ class PointRuns:
         return points
 
     def _measure(self, results: Results) -> Floats:
-        """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
+        """Number of each run that changes sign where the outcome changes; NaN where none is known."""
         if self.outcome.name == CHATTER:
             return results.touches - results.primary_impacts - 0.5
         base = self.outcome.base
