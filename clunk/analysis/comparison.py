@@ -1,9 +1,9 @@
 """Comparison of two regime maps of the same grid, cell by cell: labels that differ, and how far other quantities do.
 
-Of one study, the methods `rk4` and `exact` give such maps (`verify`): they share the model and nothing else. `rk4`
-steps in time, `exact` follows the modes of each regime and is guarded: it cannot skip an event, to rounding, for this
-model; and it knows how near each run came to another label. So labels may differ only in flagged cells, undecided or
-grazing ones; where they differ elsewhere, the step is too coarse.
+`verify` compares the maps of one study by the methods `rk4` and `exact`, which share the model and nothing else. `rk4`
+steps in time. `exact` follows the modes of each regime and is guarded: for this model it cannot skip an event, to
+rounding; and it knows how near each run came to another label. So labels may differ only in cells that are flagged as
+undecided or grazing; where they differ elsewhere, the step is too coarse.
 """
 
 from collections import Counter
@@ -29,14 +29,14 @@ from clunk.sweeping.progress import ShowProgress
 from clunk.sweeping.sweep import sweep
 
 METHODS = ("rk4", "exact")
-_SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in another way differ by rounding
-_ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
+_SAME_AXIS = 1e-9  # of an axis's smallest step: the same values, computed in another way, differ by rounding
+_ROUNDING = 1e-14  # of a value, the tolerance where it is more: steps between drawn values may be as small as rounding
 
 Unlike = dict[str, dict[str, Any]]  # key -> its value in A and in B
 
 
 class Transition(Record):
-    """A label of A that is another one in B, and in how many cells."""
+    """A label in A and another one in B, and the number of cells that have these two."""
 
     a: str = told("A")
     b: str = told("B")
@@ -44,12 +44,12 @@ class Transition(Record):
 
 
 class DifferingCell(Record):
-    """A cell with two labels.
+    """A cell that has different labels in A and in B.
 
-    index : on the axes
+    index : position on each axis
     at : value of each parameter
-    a, b : label
-    flagged : whether a method that knows it calls the run undecided or grazing
+    a, b : the labels
+    flagged : whether the run is flagged as undecided or grazing in A or in B
     """
 
     index: tuple[int, ...]
@@ -79,14 +79,14 @@ class Comparison(Record, eq=False, repr=False):
     """Differences between two maps of the same grid, A and B.
 
     maps : A and B
-    labels : of both, A's first
-    codes_a, codes_b : shape, int: the label in `labels`, or -1 where the cell failed
-    differs : shape, bool: cells that have two labels
-    flagged : shape, bool: undecided or grazing in A or in B
-    identical : whether their files hold the same arrays, bit for bit
-    configs_equal : whether the two digests are, that is everything that decides the results
+    labels : those of both maps, A's first
+    codes_a, codes_b : int, in the maps' shape: position of the cell's label in `labels`, or -1 where the cell failed
+    differs : bool, in the maps' shape: whether a cell's labels differ
+    flagged : bool, in the maps' shape: whether a run is undecided or grazing in A or in B
+    identical : whether the files of the maps hold the same arrays, bit for bit
+    configs_equal : whether the digests of the configs are equal, and so is everything that decides the results
     largest_differences : for each quantity that is defined somewhere
-    config_differences : keys of the configs that differ, a title among them; None where one has no such key
+    config_differences : keys of the configs whose values differ, also the title; None where a config has no such key
     provenance_differences : versions and machines that differ, by name
     verdict : whether the labels are the same, in a sentence
     titles : of A and of B
@@ -155,7 +155,7 @@ def compare(a: Results, b: Results) -> Comparison:
     _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
-    # of each map's codes those among all labels; the code of a failed cell, -1, takes the last entry
+    # the code among all labels for each code of a map; the code of a failed cell, -1, takes the last entry
     among = (np.array([*map(labels.index, each.labels), FAILED_CODE], np.intp) for each in maps)
     codes_a, codes_b = (codes[each.sequence] for codes, each in zip(among, maps, strict=True))
     failed_a, failed_b = codes_a == FAILED_CODE, codes_b == FAILED_CODE
@@ -164,7 +164,7 @@ def compare(a: Results, b: Results) -> Comparison:
     flagged = ((a.quality | b.quality) & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
     cells, differing, elsewhere = _count(compared), _count(differs), _count(differs & ~flagged)
     pairs = zip(codes_a[differs].tolist(), codes_b[differs].tolist(), strict=True)
-    transitions = Counter(sorted(pairs)).most_common()  # those as frequent in the order of the labels
+    transitions = Counter(sorted(pairs)).most_common()  # equally frequent ones in the order of `labels`
     identical = content_digest(dataset_of(a)) == content_digest(dataset_of(b))
     return Comparison(
         maps=maps,
@@ -210,14 +210,14 @@ def _verdict(cells: int, differing: int, elsewhere: int) -> str:
 
 @takes_study
 def verify(study: Study, *, progress: ShowProgress = False, workers: int | None = None) -> Comparison:
-    """Run a study by both methods, rk4 (A) and exact (B), whichever its own is, and compare.
+    """Run a study by both methods, rk4 (A) and exact (B), whichever its config names, and compare the maps.
 
     Parameters
     ----------
     study : Study
-        Without axes its single run is compared; of one with tolerances, the nominal runs.
+        Without axes its single run is compared; with tolerances, the nominal runs.
     progress, workers
-        As of `clunk.sweep`; each method's cells are counted for themselves.
+        As in `clunk.sweep`; the cells of each method are counted separately.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def _require_same_axes(a: ResultAxes, b: ResultAxes) -> None:
 
 
 def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Difference]:
-    """Those over the cells with equal labels, whose primary impacts correspond one to one."""
+    """Largest difference of each quantity over the cells with equal labels: primary impacts correspond one to one."""
     for name in ("impact_time", "last_event_time", "severity", "impact_severity", "approach_velocity"):
         values = []
         for each in (a, b):
@@ -285,5 +285,5 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
 
 
 def _unlike(a: dict[str, Any], b: dict[str, Any]) -> Unlike:
-    """The keys that have different values, and these values."""
+    """Keys whose values differ in two mappings, with both values."""
     return {key: {"a": a.get(key), "b": b.get(key)} for key in a | b if a.get(key) != b.get(key)}

@@ -1,8 +1,8 @@
 """Outcome of a fit: the best candidate, the ensemble, and what they say of parameters, labels and predictions.
 
-The ensemble's draws are weighted by their likelihood: of the measured labels as they are met, or of some of them, from
-which the others are predicted. Why a label is missed is told by the two events that would have to change their order.
-What a fit makes of its config is a study with the estimate's values.
+The ensemble's draws are weighted by their likelihood under all measurements, or under some of them, from which the
+labels of the others are predicted. The reason why a label is missed names the two events that would have to change
+their order. The fitted study is the config with the estimate's values.
 """
 
 import math
@@ -29,13 +29,13 @@ from clunk.sweeping.sweep import sweep
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
 FAR = 4.0  # standard deviations: a measured value that is further off is not met
-_PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
+_PRIOR_WEIGHT = 10.0  # number of measurements that the expected share of wrong labels is worth
 _COUNT = 81  # values of a map's axis
-_BEYOND = 0.15  # of the measured span, on either side of it
+_BEYOND = 0.15  # of the measured span, by which a map's axis reaches beyond it on either side
 
 
 class Estimate(Record):
-    """A parameter's number: a value, a factor or an offset.
+    """Estimate of a parameter: its value, or a factor or an offset, as its prior draws.
 
     interval, prior_interval : 5 and 95 % quantiles, of the ensemble and of the prior
     """
@@ -50,7 +50,8 @@ class Estimate(Record):
 class Combination(Record):
     """A combination of parameters, and how much of the prior's spread the data leave to it.
 
-    direction : of each parameter, in standard deviations of its prior
+    spread : standard deviation in the ensemble, as a share of the prior's
+    direction : component of each parameter, in standard deviations of its prior
     """
 
     spread: float = told("of the prior's spread", form=".0%")
@@ -58,9 +59,11 @@ class Combination(Record):
 
 
 class Measured(Record):
-    """A measured label, and what the fit makes of it.
+    """A measured label beside the label that the best candidate has there.
 
-    computed : by the best candidate
+    at : measured values, by key
+    label : measured
+    computed : label by the best candidate
     met_by_some : whether any draw of the ensemble meets it
     reason : sentences on why the best candidate misses it; empty where it does not
     """
@@ -80,16 +83,17 @@ class Fitted(Record, eq=False, repr=False):
     lash : name of the lash that was measured
     axes : dotted keys of the measured columns
     points : (n, axes) measured values
-    labels : of the codes; the last is of failed runs, whose code is -1
+    labels : label of each code; the last is that of failed runs, whose code is -1
     wanted : (n,) codes of the measured labels
     estimate : (d,) numbers of the best candidate: values, factors or offsets, as the priors draw
     estimate_matches, nominal_matches : (n,) MATCH, of the best candidate and of the config as it is
-    coordinates, draws : (N, d) of the ensemble, in which the prior is standard normal, and as the priors draw
+    coordinates, draws : (N, d) each, the ensemble in coordinates in which the prior is standard normal, and as values,
+        factors or offsets
     matches : (N, n) MATCH, of the ensemble's draws
-    log_density : (N,) of their proposals, over the prior
-    weights : (N,) of the draws
-    candidates : number that have been run
-    failed : number of candidates of which some run failed
+    log_density : (N,) logarithm of the density that proposed the draws, over the prior's
+    weights : (N,) of the draws, which add up to 1
+    candidates : number of candidates and draws that have been run
+    failed : number of these of which some run failed
     """
 
     study: Study
@@ -152,7 +156,7 @@ class Fitted(Record, eq=False, repr=False):
         return effective_size(self.weights)
 
     def hits(self, codes: Codes) -> int:
-        """Number of measured labels that some labels, by their codes (n,), meet."""
+        """Number of measurements whose label has the code that is given for them, (n,)."""
         return int(np.count_nonzero(codes == self.wanted))
 
     @property
@@ -170,7 +174,7 @@ class Fitted(Record, eq=False, repr=False):
     @property
     @tells("values of impacts, and how many the best candidate meets", key="impacts")
     def met_impacts(self) -> list[dict[str, Any]]:
-        """Numbers of values of each measured quantity, and of those that are no further off than `FAR`."""
+        """For each measured quantity of impacts the number of values, and of those no further off than `FAR`."""
         rows, each = [], self.experiment.measurements
         for name, far in zip(IMPACT_QUANTITIES, self.estimate_matches["far"].sum(axis=0).tolist(), strict=True):
             if count := sum(len(measurement.impacts.get(name, ())) for measurement in each):
@@ -199,7 +203,10 @@ class Fitted(Record, eq=False, repr=False):
     @property
     @tells("labels predicted from the other measurements")
     def predictions(self) -> list[dict[str, Any]]:
-        """Number of labels that are predicted without some measurements, by the ensemble and by simple rules."""
+        """Number of labels predicted rightly from the other measurements, by the ensemble and by two simple rules.
+
+        Measurements are left out one at a time, and then all with the same value of a measured parameter.
+        """
         ways = {"measurement": np.arange(self.count)}
         for axis, column in zip(self.axes, self.points.T, strict=True):
             values, groups = np.unique(column, return_inverse=True)
@@ -208,30 +215,31 @@ class Fitted(Record, eq=False, repr=False):
         return [{"left_out": left_out} | self._predicted(groups) for left_out, groups in ways.items()]
 
     def _predicted(self, groups: Positions) -> dict[str, float]:
-        """Number of labels that are predicted where each group of measurements, (n,), is left out.
+        """Number of labels predicted rightly where each group of measurements, by its number (n,), is left out in turn.
 
-        By the ensemble, by the most frequent label of the other measurements, and by that of the nearest one.
+        Labels are predicted by the ensemble, by the most frequent label of the other measurements, and by that of the
+        nearest one. `effective_draws` is the least effective size of the ensemble without a group.
         """
         hits, effective = dict.fromkeys(("predicted", "majority", "nearest"), 0), math.inf
         spans = np.maximum(np.ptp(self.points, axis=0), 1e-300)
         for group in np.unique(groups):
             out = groups == group
-            rest = np.flatnonzero(~out)  # `take` does with records in a tenth of the time what indexing does
-            others = self.wanted[rest]
-            weights = weights_of(losses(self.matches.take(rest, 1), others, self.fit), self.log_density)
+            rest = np.flatnonzero(~out)  # of records, `take` needs a tenth of the time of indexing
+            rest_codes = self.wanted[rest]
+            weights = weights_of(losses(self.matches.take(rest, 1), rest_codes, self.fit), self.log_density)
             effective = min(effective, effective_size(weights))
             for at in np.flatnonzero(out).tolist():
                 distances = (((self.points[rest] - self.points[at]) / spans) ** 2).sum(axis=1)
                 likely = np.bincount(self.matches["label"][:, at] - FAILED_CODE, weights).argmax() + FAILED_CODE
                 hits["predicted"] += int(likely == self.wanted[at])
-                hits["majority"] += int(np.bincount(others).argmax() == self.wanted[at])
-                hits["nearest"] += int(others[distances.argmin()] == self.wanted[at])
+                hits["majority"] += int(np.bincount(rest_codes).argmax() == self.wanted[at])
+                hits["nearest"] += int(rest_codes[distances.argmin()] == self.wanted[at])
         return hits | {"effective_draws": effective}
 
     @property
     @tells()
     def measured(self) -> list[Measured]:
-        """Each measured label."""
+        """Each measured label beside the best candidate's."""
         met_by_some = (self.matches["label"] == self.wanted).any(axis=0).tolist()
         return [
             Measured(
@@ -299,9 +307,9 @@ class Fitted(Record, eq=False, repr=False):
 def losses(matches: Records, wanted: Codes, fit: Fit) -> Floats:
     """Minus the logarithm of candidates' likelihood, up to a constant.
 
-    A label that is not met costs its distance over the scatter. Besides, labels are wrong with a probability that is
-    not known: its beta distribution is integrated over, so that one miss more costs much where few labels are missed
-    and little where many are.
+    A label that is missed costs its distance over `fit.scatter`. Besides, each label is wrong with an unknown
+    probability, over whose beta distribution the likelihood is integrated: one miss more costs much where few labels
+    are missed, and little where many are.
 
     Parameters
     ----------
@@ -319,14 +327,14 @@ def losses(matches: Records, wanted: Codes, fit: Fit) -> Floats:
 
 
 def weights_of(losses: Floats, log_density: Floats) -> Floats:
-    """Weights of draws, which add up to 1."""
+    """Weights of draws, (N,), which add up to 1, by their losses and the density that proposed them, (N,) each."""
     from scipy.special import softmax
 
     return softmax(-losses - log_density)
 
 
 def effective_size(weights: Floats) -> float:
-    """Number of equally weighted draws that would be as good."""
+    """Effective size of weighted draws, 1 / sum(w**2): the number of equally weighted draws that would be as good."""
     return 1.0 / (weights**2).sum()
 
 
@@ -336,11 +344,11 @@ def effective_size(weights: Floats) -> float:
 def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str:
     """Sentence on the first impact in which two sequences differ: which event would have to come before which."""
     pairs = enumerate(zip_longest(measured, computed), 1)
-    number, wanted, there = next((n, *pair) for n, pair in pairs if pair[0] != pair[1])
+    number, wanted, present = next((n, *pair) for n, pair in pairs if pair[0] != pair[1])
     before = "the initial flank" if number == 1 else f"the flank of impact {number - 1}"
     if wanted is None:
         return f"The lash would have to stay at {before} instead of parting from it before impact {number}."
-    if there is None:
+    if present is None:
         return f"The lash would have to part from {before} once more before it comes to rest there."
     flank = "initial" if wanted == INITIAL else "opposite"
     event = "is crossed" if wanted == (INITIAL, *measured)[number - 1] else "turns back"
@@ -353,8 +361,8 @@ def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str
 def fitted_study(fitted: Fitted) -> Study:
     """The study with the best candidate's values, without [fit].
 
-    Values of measured keys, that of the config and those on its axes, are taken for measured ones: fitted factors and
-    offsets are applied to them.
+    Fitted factors and offsets are applied to the config's values of their keys, and to those on its axes, as if these
+    were measured values.
 
     Raises
     ------
@@ -374,23 +382,23 @@ def fitted_study(fitted: Fitted) -> Study:
     for key, value in with_draws(study, {}, priors, fitted.estimate).items():
         document = with_value(document, located(study, key)[0], float(value))
     acted_on = {each.parameter for each in priors} - {each.parameter for each in priors if each.draws == "value"}
-    for axis, own in zip(document.get("sweep", {}).get("axes", ()), study.swept.axes, strict=True):
-        if own.parameter not in acted_on:
+    for axis, swept in zip(document.get("sweep", {}).get("axes", ()), study.swept.axes, strict=True):
+        if swept.parameter not in acted_on:
             continue
-        if own.scale == "log":  # an offset leaves no equal ratios
+        if swept.scale == "log":  # with an offset the values have no equal ratios any more
             axis.clear()
-            axis |= {"parameter": own.parameter, "values": own.grid}
+            axis |= {"parameter": swept.parameter, "values": swept.grid}
         for end in {"start", "stop", "values"} & axis.keys():
-            measured = {own.parameter: np.array(axis[end])}
-            values = with_draws(study, measured, priors, fitted.estimate)[own.parameter].tolist()
+            measured = {swept.parameter: np.array(axis[end])}
+            values = with_draws(study, measured, priors, fitted.estimate)[swept.parameter].tolist()
             axis[end] = tuple(values) if end == "values" else values
     return study_of_document(document)
 
 
 def fit_maps(fitted: Fitted) -> tuple[Results, Results]:
-    """Maps of the two measured parameters, as they were measured, before and after the fit.
+    """Maps over two measured parameters before and after the fit, both with measured values on their axes.
 
-    Raises ClunkError unless two parameters were measured, each at two values or more.
+    Raises ClunkError unless exactly two parameters were measured at two values or more.
     """
     varies = np.ptp(fitted.points, axis=0) > 0.0
     if varies.sum() != 2:

@@ -1,17 +1,17 @@
 """Fit of parameters to measured sequences of impacts: the best candidate, and an ensemble of all that are probable.
 
-The best candidate is looked for by differential evolution, the ensemble drawn by adaptive importance sampling:
-populations whose proposals follow the ones before.
+The best candidate is looked for by differential evolution. The ensemble is drawn by adaptive importance sampling: in
+populations, each of which is proposed on the grounds of the draws before it.
 
-Draws are in the coordinates in which the prior is standard normal. Each population is proposed by Gaussian kernels at
-draws picked by their weights, and by the prior for a share, so that no region is shut out; all draws then have the
-mixture of all proposals as their density (deterministic mixture weights, Owen & Zhou 2000, doi:10.1080/01621459.2000.
-10473909; adapted as by Cornuet et al. 2012, doi:10.1111/j.1467-9469.2011.00756.x). While few draws count, the kernels
-follow a likelihood that is flattened until enough do.
+Draws have coordinates in which the prior is standard normal. Each population is proposed by Gaussian kernels at draws
+picked by their weights, and a share of it by the prior, so that no region is shut out; all draws then have the mixture
+of all proposals as their density (deterministic mixture weights, Owen & Zhou 2000, doi:10.1080/01621459.2000.10473909;
+adapted as by Cornuet et al. 2012, doi:10.1111/j.1467-9469.2011.00756.x). While the ensemble's effective size is small,
+the draws for kernels are picked by a flattened likelihood, a power of it that makes the effective size large enough.
 
-A candidate that misses a measured label is run at neighbouring operating points too, where one measured value is a
-little smaller or greater. The least such change, in its logarithm, that brings about the measured label is its
-distance: unlike a run's margin, which says how near *any* other label is, and saturates, it speaks of the measured one.
+A candidate whose run misses a measured label is run at neighbouring operating points too, where one measured value is a
+little smaller or greater. The least change of a value, in its logarithm, that brings about the measured label is the
+run's distance from it. A run's margin would not do: it says how near *any* other label is, and saturates.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,9 +37,10 @@ from clunk.sweeping.progress import Progress, ShowProgress, reporting, unseen
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
-# A candidate's run at a measured operating point: the code of its label (-1: failed), the distance to the measured
-# label, the number of the measured value and the signed change of its logarithm that bring this about (0: none does),
-# the misfit of the impacts' measured quantities, and of each of these how many values are further off than `FAR`.
+# A candidate's run at a measured operating point: the code of its label (-1: failed); its distance from the measured
+# label; the position of the measured value, and the signed change of its logarithm, that bring about the measured label
+# (0: none does); the misfit of the impacts' measured quantities; and the number of values of each of these quantities
+# that are further off than `FAR`.
 MATCH = record_of(
     label="i8",
     distance="f8",
@@ -49,10 +50,10 @@ MATCH = record_of(
     far=("i8", len(IMPACT_QUANTITIES)),
 )
 
-_CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, either way
-_TOGETHER = 4_000  # measured values of candidates that are run together, each with all of its changes: a second
-_OUTLIERS = 0.02  # share of measured quantities that are far off
-_OUTLIER_SCALE = 10.0  # of these, in standard deviations
+_CHANGES = 0.05, 0.1, 0.2, 0.3, 0.45, 0.65, 0.9  # of the logarithm of a measured value, tried either way
+_TOGETHER = 4_000  # candidates run together, times measured values: with all changes of these it takes a second
+_OUTLIERS = 0.02  # expected share of outliers among measured quantities of impacts
+_OUTLIER_SCALE = 10.0  # standard deviations, the scale of outliers' Cauchy distribution
 
 
 class Candidates:
@@ -60,14 +61,15 @@ class Candidates:
 
     study : Study, with [fit]
     experiment : Experiment
-    lash : name of the one that was measured
+    lash : name of the lash that was measured
     engine : of threads
-    progress : called with the number of candidates so far, and the most that there can be
+    progress : called with the number of candidates so far, and the most candidates and draws that may be run
     axes : dotted keys of the measured columns
     points : (n, axes) measured values
-    labels : of the codes, first the measured ones
+    labels : label of each code, the measured ones first
     wanted : (n,) codes of the measured labels
-    coordinates, matches : (N, d), in which the priors are standard normal, and (N, n) MATCH, of all candidates so far
+    coordinates, matches : of all candidates called so far, (N, d) coordinates in which the priors are standard normal,
+        and (N, n) MATCH
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class Candidates:
         self.experiment, self.lash, self._engine, self._progress = experiment, lash, engine, progress
         self.axes = axes_of(study, experiment)
         self.points = np.array([each.values for each in experiment.measurements])
-        measured = [each.label for each in experiment.measurements]  # as runs have them
+        measured = [each.label for each in experiment.measurements]  # in the notation of the runs' labels
         self.labels = [*dict.fromkeys(measured)]
         self.wanted = np.array([*map(self.labels.index, measured)])
         self.coordinates = np.zeros((0, len(self.priors)))
@@ -92,7 +94,7 @@ class Candidates:
         return losses(matches, self.wanted, self.fit)
 
     def numbers(self, coordinates: Floats) -> Floats:
-        """Values, factors and offsets, (n, d), at coordinates in which the priors are standard normal."""
+        """Values, factors or offsets, (n, d), at coordinates in which the priors are standard normal."""
         from scipy.stats import norm
 
         columns = zip(self.priors, norm.cdf(coordinates.T), strict=True)
@@ -109,9 +111,9 @@ class Candidates:
         return np.concatenate(parts)
 
     def _run_some(self, numbers: Floats) -> Records:
-        """Run as many candidates as there is memory for."""
+        """Run candidates, (n, d), few enough for all their runs to be in memory; returns MATCH, (n, points)."""
         keys = {*self.axes, *parameters_of(self.priors)}
-        # new: there are too many drivelines to keep
+        # a new one each time, as there are too many drivelines to keep
         runner = Runner(measuring(self.study, ()), sorted(keys), engine=self._engine)
         matches = np.zeros((len(numbers), len(self.points)), MATCH)
         flat, (candidate, point) = matches.ravel(), np.indices(matches.shape).reshape(2, -1)
@@ -123,9 +125,9 @@ class Candidates:
         return matches
 
     def _look_around(self, runner: Runner, matches: Records, numbers: Floats, point: Positions) -> Records:
-        """Matches of runs that missed the measured label, with their distance from it.
+        """Set the distance from the measured label in matches, (m,), of runs that missed it; returns these.
 
-        Greater changes are tried only of the runs that smaller ones do not bring to it.
+        Greater changes of measured values are tried only for runs that no smaller change brings to the measured label.
         """
         directions = np.kron(np.eye(len(self.axes)), [[-1.0], [1.0]])  # (m, axes)
         fewest, missed = np.full(point.size, np.inf), np.arange(point.size)
@@ -135,33 +137,36 @@ class Candidates:
             edits = self._edits(self.wanted[point[at]], codes).reshape(missed.size, -1)
             fewest[missed] = np.minimum(fewest[missed], edits.min(axis=1))
             met, nearest = fewest[missed] == 0.0, edits.argmin(axis=1)
-            found, nearest = missed[met], nearest[met]
-            matches["distance"][found], matches["axis"][found] = size, nearest // 2
-            matches["change"][found] = size * directions[nearest].sum(axis=1)
+            reached, nearest = missed[met], nearest[met]
+            matches["distance"][reached], matches["axis"][reached] = size, nearest // 2
+            matches["change"][reached] = size * directions[nearest].sum(axis=1)
             missed = missed[~met]
             if not missed.size:
                 break
-        matches["distance"][missed] = _CHANGES[-1] + fewest[missed]  # impacts too many or too few
+        matches["distance"][missed] = _CHANGES[-1] + fewest[missed]  # 1 for each impact too many or too few
         return matches
 
     def _run(self, runner: Runner, numbers: Floats, measured: Floats) -> tuple[Codes, Results]:
-        """Codes of the labels of runs, (m,), and the runs.
+        """Run candidates at measured values; returns the codes of the labels, (m,), and the results.
 
-        numbers : (m, d) of the candidates
-        measured : (m, axes)
+        numbers : (m, d) values, factors or offsets
+        measured : (m, axes) measured values, changed or not
         """
         values = with_draws(self.study, dict(zip(self.axes, measured.T, strict=True)), self.priors, numbers.T)
-        for key in self.axes:  # a change may leave its range, together with an offset
+        for key in self.axes:  # a changed value with an offset on it may leave the key's range
             allowed = located(self.study, key)[1]
             least = np.nextafter(allowed.lowest, np.inf) if allowed.above else allowed.lowest
             values[key] = values[key].clip(least, allowed.highest)
         results = runner(runner.values(values)).of_lash(self.lash)
         self.labels += [each for each in results.labels if each not in self.labels]
-        codes = np.array([*map(self.labels.index, results.labels), FAILED_CODE])  # of a failed run, -1, the last
+        codes = np.array([*map(self.labels.index, results.labels), FAILED_CODE])  # -1, of a failed run, takes the last
         return codes[results.sequence], results
 
     def _compare_impacts(self, matches: Records, point: Positions, results: Results) -> None:
-        """Set the misfit of the impacts' quantities in runs, minus the logarithm of their likelihood, and `far`."""
+        """Set `far`, and `misfit`, minus the logarithm of the likelihood of impacts' measured quantities, in matches.
+
+        A measured impact that has no partner among the computed ones is compared with 0.
+        """
         codes = matches["label"]
         for at, measurement in enumerate(self.experiment.measurements):
             for code in np.unique(codes[point == at]).tolist() if measurement.impacts else ():
@@ -177,7 +182,7 @@ class Candidates:
                         matches["far"][runs, IMPACT_QUANTITIES.index(name)] += np.abs(off) > FAR
 
     def _edits(self, wanted: Codes, codes: Codes) -> Floats:
-        """Number of impacts too many or too few of runs for some labels; of a failed run, of all."""
+        """Number of impacts that runs have too many or too few for wanted labels, (n,); a failed run lacks them all."""
         pairs, inverse = np.unique([wanted, codes], axis=1, return_inverse=True)
         sequences = [(self._flanks(one), self._flanks(other)) for one, other in pairs.T.tolist()]
         edits = [len(a) + len(b) - 2.0 * len(partners(a, b)) for a, b in sequences]
@@ -198,12 +203,12 @@ def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
 
 
 def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]:
-    """Impacts of two sequences that correspond: number of the measured -> number of the computed one.
+    """Impacts that correspond in two sequences of flanks: number of the measured one -> number of the computed one.
 
-    In the same order, as many as can be, and the earliest of these.
+    They are the longest common subsequence, and the earliest of several. Numbers count from 0.
     """
     m, n = len(measured), len(computed)
-    most = [[0] * (n + 1) for _ in range(m + 1)]  # that can from two impacts on
+    most = [[0] * (n + 1) for _ in range(m + 1)]  # length of the longest from impact a of one and b of the other on
     for a, b in product(reversed(range(m)), reversed(range(n))):
         alike = measured[a] == computed[b]
         most[a][b] = 1 + most[a + 1][b + 1] if alike else max(most[a + 1][b], most[a][b + 1])
@@ -220,9 +225,11 @@ def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]
 
 
 def outlier_misfit(deviation: Floats | float) -> Floats:
-    """Minus the logarithm of a normal density with a few outliers, less that at 0; deviation : in standard deviations.
+    """Minus the logarithm of a normal density with a few outliers, relative to its value at 0.
 
     It grows as the square near 0 and as the logarithm far away, so that one bad value decides nothing.
+
+    deviation : in standard deviations
     """
     from scipy.stats import cauchy, norm
 
@@ -231,12 +238,12 @@ def outlier_misfit(deviation: Floats | float) -> Floats:
     return np.log(density[1] / density[0])
 
 
-_FARTHEST = 1e100  # standard deviations: the square of any more is infinite
+_FARTHEST = 1e100  # standard deviations, to which larger ones are clipped: squares of those beyond 1e154 are infinite
 _SEARCHED = 16  # candidates of a population of the search, for each parameter
-_POPULATION = 512  # draws of the ensemble
-_KERNELS = 64  # of a proposal
+_POPULATION = 512  # draws of a population of the ensemble
+_KERNELS = 64  # Gaussian kernels of a proposal
 _OF_PRIOR = 0.1  # share of a population that the prior proposes
-_COUNTING = 50.0  # draws that are to count for the kernels to follow the likelihood as it is
+_COUNTING = 50.0  # least effective number of draws with which kernels are picked by the likelihood as it is
 
 
 @takes_study
@@ -253,26 +260,26 @@ def fit(
     Parameters
     ----------
     study : Study
-        With [[fit.parameters]]; its sweep is left aside.
+        With [[fit.parameters]]; its sweep is ignored.
     measurements : path of a CSV file
-        Operating points, their labels and what else was measured, as ``clunk help fit`` tells; or ``table_4_1``, the
-        report's.
+        Operating points with their labels and measured quantities of impacts, in the format that ``clunk help fit``
+        describes; or ``table_4_1``, the report's table.
     lash : str, optional
         Of several lashes, the one that was measured, by name or number; by default the first.
     progress, workers
-        As of `clunk.sweep`; candidates are counted.
+        As in `clunk.sweep`; progress counts candidates.
 
     Returns
     -------
     Fitted
         `estimate` and `intervals()` of the parameters, `met` labels, `predictions`, `missed` labels with reasons,
         `warnings` and all draws of the ensemble with their `weights`. `clunk.draw` makes its pictures, and
-        `clunk.fitted_study` the study that it gives.
+        `clunk.fitted_study` returns the study with the estimate's values.
 
     Raises
     ------
     ClunkError
-        Where the measurements cannot be read or do not go with the study, or a prior with them.
+        Where the measurements cannot be read, or do not go with the study or with a prior.
 
     Examples
     --------
@@ -325,7 +332,7 @@ def fit(
 
 
 def _search(candidates: Candidates) -> None:
-    """Look for the best candidate by differential evolution, a population a sweep."""
+    """Look for the best candidate by differential evolution, one population after the other, kept in `candidates`."""
     from scipy.optimize import differential_evolution
     from scipy.stats import norm
 
@@ -351,18 +358,18 @@ def _search(candidates: Candidates) -> None:
 
 
 def _unlikely(coordinates: Floats) -> Floats:
-    """Minus the logarithm of the density, in coordinates (n, d) in which it is standard normal, of the priors."""
+    """Minus the logarithm of the priors' density, up to a constant, at coordinates (n, d), standard normal."""
     return 0.5 * np.square(coordinates).sum(axis=1)
 
 
 def sample(
     loss_of: Callable[[Floats], Floats], dimensions: int, effective: float, most: int, seed: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Draw populations until they are worth `effective` draws, or are `most`.
+    """Draw populations until their effective size is `effective`, or their number of draws is `most`.
 
     Parameters
     ----------
-    loss_of : of draws, (n, dimensions), minus the logarithm of their likelihood, (n,)
+    loss_of : returns minus the logarithm of the likelihood, (n,), of draws, (n, dimensions)
 
     Returns
     -------
@@ -373,12 +380,12 @@ def sample(
     from scipy.stats import gaussian_kde, norm
 
     def density(count: int, kernel: gaussian_kde, draws: Floats) -> Floats:
-        """That of the draws from a kernel and the prior, over the prior's, times their number."""
+        """Density at draws of a proposal by kernels and the prior, over the prior's, times the number that it drew."""
         return count * (_OF_PRIOR + (1.0 - _OF_PRIOR) * (kernel(draws.T) / norm.pdf(draws).prod(axis=1)))
 
     generator, first = np.random.default_rng([seed, 1]), min(_POPULATION, most)
     draws = generator.standard_normal((first, dimensions))
-    # proposed : (N,) the density that proposed the draws, of all populations, over the prior's, times N
+    # proposed : (N,) density at the draws of the mixture of all proposals, over the prior's, times N
     values, proposed, kernels = loss_of(draws), np.full(first, float(first)), list[tuple[int, gaussian_kde]]()
     while True:
         log_density = np.log(proposed / len(draws))
@@ -396,7 +403,10 @@ def sample(
 
 
 def _flattened(values: Floats, log_density: Floats) -> Floats:
-    """Weights of draws by a power of their likelihood, the greatest up to 1 for which enough of them count."""
+    """Weights of draws by a power of their likelihood, the greatest up to 1 with an effective size of `_COUNTING`.
+
+    Where no power has it, the weights are those by the likelihood itself.
+    """
     from scipy.optimize import brentq
 
     def surplus(power: float) -> float:
@@ -407,7 +417,7 @@ def _flattened(values: Floats, log_density: Floats) -> Floats:
 
 
 def check(study: Study, experiment: Experiment) -> None:
-    """Refuse measurements that do not go with a study. Raises ClunkError."""
+    """Raise ClunkError where measurements do not go with a study or its priors."""
     if study.fit is None:
         raise ClunkError(
             "There is nothing to fit: the config has no [[fit.parameters]], one for each parameter (clunk help fit)."

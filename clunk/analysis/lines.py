@@ -38,9 +38,9 @@ _MOST_ROUNDS, _LAST_ROUNDS = 128, 8  # of all rounds, and of the last ones, in w
 _HALVINGS = 4  # of an edge in search of another label between two nodes of the same label
 _MOST_CROSSINGS = 4  # on an edge, that are told apart
 _LONG = 0.5  # of a triangle's longest edge, above which an edge is long
-_FLAT = 0.1  # of the far edge: one of a triangle less high over it, with several crossings on another edge, is cut
+_FLAT = 0.1  # of the far edge, the height over it below which a triangle with several crossings on another edge is flat
 _BESIDE = 0.03  # of the way from a crossing on a long edge to the edge's far end, the place of a node
-_RUNS_PER_CELL, _ON_ANY_MAP = 7, 5_000_000  # most runs: for each cell, and besides, this number over the cost of a run
+_RUNS_PER_CELL, _ON_ANY_MAP = 7, 5_000_000  # most runs, for each cell and for any map, the latter over a run's cost
 TOUCHES = 10  # touches that take as long as a run without any
 _CUT, _ON_EDGES = 0.85, 0.95  # shares of the most runs, up to which edges are cut, and crossings on new edges located
 _LOCATED = 4.0 * RESOLUTION  # of the map, the widest bracket of a located crossing, or of several that are not parted
@@ -430,7 +430,7 @@ class Lines:
         self.runs = np.concatenate([self.runs, runs])[order]
 
     def _refine(self) -> None:
-        """Cut edges of new triangles whose line is located but not known well enough, or that have become flat."""
+        """Cut edges of new triangles whose line is located but not known well enough, and of triangles made flat."""
         two, three = self.triangles.mixed(only_new=True)
         positions = self.triangles.positions
         is_located, three = self._is_located(two), three[self._is_located(three)]

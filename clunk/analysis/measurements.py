@@ -62,7 +62,7 @@ class Experiment:
     caveat: str
 
 
-TABLES = {"table_4_1": files(__package__) / "table_4_1.csv"}  # the report's, which come with clunk
+TABLES = {"table_4_1": files(__package__) / "table_4_1.csv"}  # measured tables of the report, which come with clunk
 
 
 def is_experiment(path: FilePath) -> bool:
@@ -72,9 +72,9 @@ def is_experiment(path: FilePath) -> bool:
 
 
 def read_experiment(path: FilePath) -> Experiment:
-    """Read measurements from a CSV file in UTF-8, or from one of `TABLES` by its name; a file of that name comes first.
+    """Read measurements from a CSV file in UTF-8, or from one of `TABLES` by its name, unless a file has that name.
 
-    Semicolons or tabs may separate the columns, and commas then stand for the point, as where logs have decimal commas.
+    Semicolons or tabs may separate the columns; commas are then decimal commas.
     The first line that is no comment (#) names the columns: one for each parameter, as in a results file
     (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``. There may be measured
     quantities of the primary impacts besides, ``impact_time_1`` and so on (also ``impact_closing_speed_1`` and
@@ -89,11 +89,14 @@ def read_experiment(path: FilePath) -> Experiment:
 
 
 def experiment_of(text: str, path: FilePath) -> Experiment:
-    """Measurements of a CSV file's text; path : its name. As `read_experiment` otherwise."""
+    """Measurements in the text of a CSV file, in the format of `read_experiment`, with the same errors.
+
+    path : of the file, whose name is the experiment's
+    """
     lines = text.splitlines(keepends=True)
     comments = [line.strip("# \t\n") for line in lines if line.lstrip().startswith("#")]
     caveats = [each.split(":", 1)[1].strip() for each in comments if each.lower().startswith("caveat:")]
-    # Blank in place of a comment, so that the reader's count of lines is the file's.
+    # Comments become blank lines, so that the reader's count of lines is that of the file.
     rows = ["\n" if line.lstrip().startswith("#") else line for line in lines]
     headings = next(filter(str.strip, rows), "")
     mark = next((each for each in ",;\t" if each in headings), ",")
@@ -107,7 +110,7 @@ def experiment_of(text: str, path: FilePath) -> Experiment:
             if not any(cells):
                 continue
             where = f"{path}, line {reader.line_num}"
-            while not cells[-1] and len(cells) > len(columns):  # behind separators at the end
+            while not cells[-1] and len(cells) > len(columns):  # blank cells after separators at the end
                 cells.pop()
             if not columns:
                 columns = _columns(cells, where)
@@ -141,13 +144,13 @@ def _columns(cells: list[str], where: str) -> list[str]:
 
 
 def _without_unit(heading: str, where: str) -> str:
-    """The name in a heading that may end with its unit in brackets. Raises ClunkError where that is another one."""
+    """The name in a heading that may end with a unit in brackets. Raises ClunkError where it is not the name's unit."""
     name, bracket, unit = heading.partition(" [")
     if bracket:
         measured = _OF_IMPACTS.fullmatch(name)
         meant = REGIME_QUANTITIES[measured[1]].unit if measured else quantity(name).unit
-        found, known = (re.sub("[^a-z]", "", each.lower()) for each in (unit, meant))
-        if found != known:
+        stated, known = (re.sub("[^a-z]", "", each.lower()) for each in (unit, meant))
+        if stated != known:
             raise ClunkError(f"{where}: {name} is in {meant}, not in {shorten(unit.strip('] '))}.")
     return name
 
@@ -265,7 +268,7 @@ class ExperimentComparison(Record, eq=False, repr=False):
 
 
 def compare_experiment(results: Results, experiment: Experiment) -> ExperimentComparison:
-    """Compare each measurement with the nearest cell of a map, and the two trends.
+    """Compare each measurement with the nearest cell of a map, and measured with computed trends along each axis.
 
     Raises
     ------

@@ -12,12 +12,12 @@ from clunk.analysis.lines import cross
 from clunk.results.boundaries import NO_LABEL
 from clunk.study.arrays import Codes, Floats, LabelCodes
 
-SAME = 1e-6  # of the map: triple points so near to each other are one junction
+SAME = 1e-6  # of the map: triple points within this distance of each other are one junction
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 class Path(NamedTuple):
-    """A curve, with the lesser code on its left: its nodes, and a vertex for each."""
+    """A curve: codes of the labels on its left and right, the lesser on the left, its nodes, and a vertex for each."""
 
     left: int
     right: int
@@ -36,9 +36,9 @@ class Ring(NamedTuple):
 def paths_of(ends: Codes, labels: Codes, position: Callable[[Codes], Floats]) -> list[Path]:
     """Link segments, pieces of lines that lie in a triangle each, to curves.
 
-    ends : (n, 2) nodes at which they begin and end: keys of edges, or of triple points -1 - their number
-    labels : (n, 2) codes on the left and on the right
-    position : of nodes
+    ends : (n, 2) nodes at which segments begin and end: keys of edges, or -1 minus the number of a triple point
+    labels : (n, 2) codes of the labels on the left and on the right
+    position : returns the positions of nodes
     """
     begin, end = np.where(labels[:, 0] > labels[:, 1], ends.T[::-1], ends.T).tolist()
     left, right = np.sort(labels, axis=1).T.tolist()
@@ -60,9 +60,9 @@ def paths_of(ends: Codes, labels: Codes, position: Callable[[Codes], Floats]) ->
 
 
 def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
-    """Triple points (n, 2) with labels (n, 3), those at the same place as one junction; with all labels of each.
+    """Merge triple points (n, 2) with labels (n, 3) that are at the same place into junctions, (m, 2).
 
-    The labels are rows of ascending codes, with `NO_LABEL` behind them.
+    Also returns the labels of each junction: rows of ascending codes, filled up with `NO_LABEL`, (m, 3 or more).
     """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
@@ -79,9 +79,9 @@ def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, LabelCodes]:
 
 
 def rings_of(paths: list[Path], corner: int) -> list[Ring]:
-    """Rings around the regions; corner : label of the frame where no curve ends on it."""
+    """Rings around the regions; corner : label of the map's first corner, for a frame on which no curve ends."""
     rings = []
-    starts = {}  # junction and label on the left -> path, whether forward
+    starts = {}  # junction and label on the left -> path, and whether it is followed forward
     on_frame: dict[int, float] = {}
     for k, path in enumerate(paths):
         first, last = path.nodes[0], path.nodes[-1]
@@ -137,7 +137,7 @@ def _goes_around(vertices: Floats) -> bool:
 
 
 def _along_frame(point: Floats) -> float:
-    """Way along the frame from its first corner, anticlockwise, to a point on it."""
+    """Distance along the frame from its first corner, anticlockwise, to a point on it: from 0 to 4."""
     x, y = point.tolist()
     if y == 0.0:
         return x
@@ -145,6 +145,6 @@ def _along_frame(point: Floats) -> float:
 
 
 def _corners_between(begin: float, end: float) -> Floats:
-    """Corners on the way along the frame, anticlockwise."""
+    """Corners of the frame between two distances along it, anticlockwise."""
     last = end if end > begin else end + 4.0
     return _CORNERS[[corner % 4 for corner in range(1, 9) if begin < corner < last]]

@@ -53,8 +53,8 @@ _STEEPER = 2.0  # times the slope between known points, as the measure may be st
 _LOOKED = 64  # most runs between two points in search of hidden outcomes, but for those of the last halving
 _BESIDE = 0.45  # tolerances, least distance of two runs from the expected place: a bracket of the two is narrow enough
 _BENT = 0.2  # times the bracket's width squared over the span, by which the zero of a secant may be off
-_GUESSES, _FURTHER = 2, 10.0  # guesses for the same two outcomes; the second has so many times the distance from it
-_STALLED = 0.5  # of its width, the greatest width of a bracket after a step that is not followed by a bisection
+_GUESSES, _FURTHER = 2, 10.0  # guesses for the same two outcomes; factor on the distance of runs from the second
+_STALLED = 0.5  # of its width, to which a step has to narrow a bracket; otherwise the next step is a bisection
 
 
 # --- Axes of a search

@@ -29,15 +29,15 @@ from clunk.sweeping.runner import Runner
 CONFIDENCE = 0.95  # of the intervals
 
 _ROUNDING = 1e-12  # of the largest value: runs no further from the median differ from it by rounding
-_RARE = 10  # runs that differ from the others: of fewer no shares are told
+_RARE = 10  # least number of runs that differ from the others for shares to be estimated
 _RESAMPLES = 999
 _FEWEST = 16
 
 
 class Share(Record):
-    """Share of a parameter in the variance of a quantity: alone (S), in all (ST), that is with its interactions.
+    """Share of a parameter in the variance of a quantity: alone (S), and in all, with its interactions (ST).
 
-    first_interval, total_interval : low and high of the percentile bootstrap
+    first_interval, total_interval : low and high end of each, by the percentile bootstrap
     """
 
     first: float = told("alone", form=".3f")
@@ -51,11 +51,11 @@ class Indices(Record):
 
     quantity : its name, see `sensitivity`
     heading : name for people, with symbol and unit
-    nominal : float, without tolerances
+    nominal : float, in the run without tolerances
     mean, std : float, over the 2 n runs of A and B; the mean of an indicator is its probability
     quantiles : at `QUANTILES`
-    indices : dotted key -> share, by falling total index; None where the quantity is the same in all of those runs
-        but fewer than `_RARE`, which tell of no share
+    indices : dotted key -> share, by falling total index; None where fewer than `_RARE` of those runs differ from the
+        others, too few to estimate shares from
     """
 
     quantity: str
@@ -132,18 +132,20 @@ def sensitivity(
         With tolerances whose draws are independent; its axes are ignored. The sampling's count is n, a
         power of two.
     of : str or sequence of str, optional
-        Quantities, in the words of `clunk.results.quantities`: a number; or what is 1 where something holds and else 0,
-        such as `nominal_label` (the label is that without tolerances), `double_sided` and `severity<=8000`. By default
-        severity and `nominal_label`; for the restitution model, which has no severity, `approach_velocity` instead.
+        Quantities, in the words of `clunk.results.quantities`: numbers, or conditions, which are 1 where they hold and
+        else 0, such as `nominal_label` (the label is that of the run without tolerances), `double_sided` and
+        `severity<=8000`. By default `severity` and `nominal_label`; for the restitution model, which has no severity,
+        `approach_velocity` and `nominal_label`.
     lash : str, optional
         Of several lashes, the one whose outcome is meant, by name or number; by default the first.
     workers, progress
-        As `clunk.sweep` takes them.
+        As in `clunk.sweep`.
 
     Raises
     ------
     ClunkError
-        Where there is nothing to divide, a draw is not allowed, or a run failed or has no such quantity.
+        Where the study has no tolerances with Sobol indices, a drawn value is not allowed, or a run failed or has no
+        value of a quantity.
     ClunkError, KeyboardInterrupt
         As `clunk.sweep`.
 
@@ -158,7 +160,7 @@ def sensitivity(
     'lash.contact.stiffness'
     """
     point = operating_point(study)
-    position = lash_position(lash, study.lash_names)  # before any run, or it is refused
+    position = lash_position(lash, study.lash_names)  # a lash that does not exist is refused before any run
     hardness = "approach_velocity" if point.has_rigid_flanks else "severity"
     names = [of] if isinstance(of, str) else of or (hardness, "nominal_label")
     parameters = tuple(parameters_of(point.swept.tolerances))
@@ -185,7 +187,7 @@ def sensitivity(
     label = str(runs.label_map[-1])
     indices = tuple(_indices(each.named(label), runs, parameters, point.swept.sampling.seed) for each in quantities)
     base = runs.label_map[:-1].reshape(n, pages)[:, :2]
-    labels = Counter(sorted(base.ravel().tolist())).most_common()  # those as frequent in the order of their texts
+    labels = Counter(sorted(base.ravel().tolist())).most_common()  # equally frequent ones in alphabetical order
     return Sensitivity(
         study=point,
         parameters=parameters,
@@ -199,7 +201,7 @@ def sensitivity(
 
 
 def operating_point(study: Study) -> Study:
-    """The study with its tolerances and without axes. Raises ClunkError where they have no Sobol indices."""
+    """The study with its tolerances and without axes. Raises ClunkError where the tolerances have no Sobol indices."""
     swept = study.swept
     if not swept.tolerances:
         raise ClunkError(
@@ -216,7 +218,10 @@ def operating_point(study: Study) -> Study:
 
 
 def saltelli_sample(study: Study) -> Floats:
-    """Parameters of the runs, (n, d + 2, d) float64: of each sample A's, B's, and A's with each column from B."""
+    """Parameters of the runs, (n, d + 2, d) float64.
+
+    Each sample has a row of A, one of B, and for each of the d columns the row of A with that column from B.
+    """
     draws = study.swept.tolerances
     d = len(draws)
     points = study.swept.sampling.points(2 * d)
@@ -232,7 +237,7 @@ def saltelli_sample(study: Study) -> Floats:
 def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
     """First-order and total indices, (d,) each, and their intervals, (2, d) each.
 
-    The intervals are those of the percentile bootstrap, which takes the samples as independent: those of Sobol points
+    The intervals are those of the percentile bootstrap, which takes the samples as independent: indices of Sobol points
     scatter less. BCa intervals are not defined for a parameter that changes nothing.
 
     Parameters
@@ -242,11 +247,11 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
     seed : int
         Of the bootstrap.
     """
-    from scipy.stats import sobol_indices  # most of a second
+    from scipy.stats import sobol_indices  # takes most of a second
 
     def estimate(rows: Positions) -> Floats:
         f_a, f_b, *f_ab = values[rows].T[:, None, :]
-        # and one more parameter, which changes nothing: scipy has no indices of a single one
+        # with one more parameter, which changes nothing: scipy computes no indices of a single one
         estimates = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array([*f_ab, f_a])}, n=rows.size)
         return np.array([estimates.first_order, estimates.total_order])[:, :-1]
 
@@ -260,9 +265,9 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
 def _indices(quantity: Quantity, runs: Results, parameters: Sequence[str], seed: int) -> Indices:
     """Sobol indices of a quantity.
 
-    runs : those of `saltelli_sample`, and last the one without tolerances
+    runs : those of `saltelli_sample`, and last the run without tolerances
 
-    Raises ClunkError where a run has none.
+    Raises ClunkError where the quantity is not defined in a run.
     """
     values = quantity.compared(runs)
     pages = values[:-1].reshape(-1, len(parameters) + 2)

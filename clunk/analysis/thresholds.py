@@ -4,16 +4,17 @@ The runs at the axis's own values are a scan: between two neighbours of differen
 brackets are narrowed side by side (`clunk.analysis.search`).
 
 With tolerances each drawn driveline has thresholds of its own, along a further axis, `draw`; the draws are those of a
-tolerance map, made once for all cells. Of these there are quantiles: at a value of the key the probability of an
-outcome is the share of the draws that have it there, which is constant between any draw's thresholds.
+tolerance map, made once for all cells. `threshold_quantiles` sums them up: at a value of the key the probability of an
+outcome is the share of the draws that have it there, which is constant between neighbouring thresholds of all draws.
 
-Thresholds that lie in pairs between two values of the axis show in no outcome there. They are looked for where touches
-differ by two or more, and where the number of the runs dips towards zero.
+A pair of thresholds between two values of the axis shows in no outcome at these values. Such pairs are looked for where
+the touches of two neighbours differ by two or more, and where the measure of the runs (the margin, or the distance of
+a quantity from its bound) dips towards zero.
 
-It ends, whatever the runs do (`clunk.analysis.search`): hidden thresholds are looked for down to the spacing over
-2^`_HALVINGS`, and the bracket between neighbours whose outcomes differ becomes `_MOST` at most. Where the outcome
-changes more often than that, as labels do where touches without end are cut off, or motion is chaotic, the brackets are
-left as wide as they are then: the place is unresolved, and told as such.
+The search ends, whatever the runs do (`clunk.analysis.search`): hidden thresholds are looked for down to the spacing
+over 2^`_HALVINGS`, and a bracket between neighbours whose outcomes differ becomes `_MOST` brackets at most. Where the
+outcome changes more often than that, as labels do where touches without end are cut off, or motion is chaotic, the
+brackets are left as wide as they are then, and the place is among `Thresholds.unresolved`.
 """
 
 import csv
@@ -54,16 +55,16 @@ from clunk.sweeping.sweep import engine_of
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
 UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `threshold_quantiles`
 
-_HALVINGS = 16  # of the spacing where something may be hidden: with 22 no more was found
-_MOST = 32  # thresholds between two neighbours that are resolved
+_HALVINGS = 16  # of the spacing in search of hidden thresholds: 22 halvings found no more
+_MOST = 32  # most thresholds that are resolved between two neighbouring values of the axis
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Thresholds(Design):
     """The thresholds of an outcome along a key, in each cell of the other axes.
 
-    Cells are numbered in C order of the other axes; without any there is one. n counts the thresholds of all cells,
-    which are in the order of cells and, in each, of ascending values.
+    Cells are numbered in C order of the other axes; without other axes there is one cell. n is the number of thresholds
+    of all cells, which are in the order of cells and, in each, of ascending values.
 
     study : Study
     along : the key's axis, its values ascending
@@ -74,9 +75,9 @@ class Thresholds(Design):
     cell : (n,) int64
     value : (n,) float64, in the key's unit, right to 1e-9 of the axis's range where it is resolved, to 1e-3 where runs
         begin to fail
-    off : (n,) float64, in the key's unit, by how much it may be off
+    off : (n,) float64, in the key's unit, by how much the value may be off: half the width of its bracket
     below, above : (n,) int64, the outcome's code at smaller and at greater values
-    runs : number of runs that it took
+    runs : number of runs that the search took
     failures : number of these that failed, by their cause
     lash : name of the lash whose outcome it is; empty where there is one
     """
@@ -111,9 +112,9 @@ class Thresholds(Design):
 
     @property
     def unresolved(self) -> list[tuple[int, float, float]]:
-        """Places at which the outcome changes too often to be followed: the cell, and where they begin and end.
+        """Places at which the outcome changes too often to be followed: the cell, and the key's values at both ends.
 
-        One between two neighbouring values of the axis at most.
+        There is one place at most between two neighbouring values of the axis.
         """
         fails = (self.below == FAILED_CODE) | (self.above == FAILED_CODE)
         wide = self.off > np.where(fails, OFF_FAILURES, TOLERANCE) * np.ptp(self.along.values)
@@ -131,9 +132,9 @@ class Thresholds(Design):
         return [*zip([ends[0], *inner], [*inner, ends[1]], [int(self.lowest[cell]), *codes], strict=True)]
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each threshold: values of the other axes, its own, and the outcomes, by `below` and `above`.
+        """A row for each threshold: values of the other axes, of the threshold, and the outcomes `below` and `above`.
 
-        Of a cell without any threshold, a row whose own value is None.
+        A cell without thresholds has one row, with None as the threshold's value.
         """
         rows = []
         for cell, lowest in enumerate(self.lowest.tolist()):
@@ -154,12 +155,12 @@ class Thresholds(Design):
         return text.getvalue()
 
     def where(self, word: Word, **at: float) -> list[tuple[float, float]]:
-        """Intervals of the key in which the outcome is this one, in the cell nearest to these values.
+        """Intervals of the key, begin and end, in which the outcome is `word`, in the cell nearest to some values.
 
-        at : of each other axis, by the name of its variable, as in ``lash_backlash_deg=6.0``
+        at : value of each other axis, by the name of its variable, as in ``lash_backlash_deg=6.0``
 
-        Raises ClunkError where an axis is not named, or something that is none; a value lies beyond an axis; or the
-        outcome is no label, of labels, or of another kind than those that there are.
+        Raises ClunkError where an axis is not named, a name is not that of an axis, or a value lies beyond its axis;
+        and where the outcome is of another kind than those of the thresholds, or a text that is no label.
         """
         if word not in (FAILED, UNCERTAIN):
             if any(isinstance(word, str) != isinstance(each, str) for each in self.words):
@@ -193,8 +194,8 @@ def thresholds(
     Parameters
     ----------
     study : Study
-        With an axis of two values or more for the key: what is narrower than its spacing may be missed. With
-        tolerances, all values are of a nominal driveline, around which the others are drawn.
+        With an axis of two values or more for the key: two thresholds closer to each other than its spacing may be
+        missed. With tolerances, values of the key and of axes are nominal, and drivelines are drawn around them.
     along : str
         The key.
     of : str, optional
@@ -203,14 +204,14 @@ def thresholds(
     lash : str, optional
         Of several lashes, the one whose outcome is meant, by name or number; by default the first.
     workers, progress
-        As `clunk.sweep` takes them; in the place of cells, runs are counted, whose number in all is not known: 0.
+        As in `clunk.sweep`; progress counts runs in place of cells, with a total of 0, as it is not known.
 
     Returns
     -------
     Thresholds
-        Where a run fails, that is an outcome of its own. Where outcomes change too often to be followed, the places are
-        among `unresolved`. With tolerances, those of each drawn driveline;
-        `clunk.threshold_quantiles` says what most of them have in common.
+        A failed run has an outcome of its own, `failed`. Places where outcomes change too often to be followed are
+        among `unresolved`. With tolerances, the thresholds are those of each drawn driveline, which
+        `clunk.threshold_quantiles` sums up.
 
     Raises
     ------
@@ -276,7 +277,7 @@ def thresholds(
 
 
 def axes_of(study: Study, along: str) -> tuple[ResultAxis, ResultAxes]:
-    """The key's axis, ascending, and the other axes, with tolerances `draw` before them.
+    """The key's axis, ascending, and the other axes, of which `draw` is the first with tolerances.
 
     Raises ClunkError where there are no thresholds along the key.
     """
@@ -294,11 +295,11 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, ResultAxes]:
     return axis.ascending, drawn + tuple(each for each in axes if each is not axis)
 
 
-QUANTILE = "quantile"  # the axis in the place of `draw`
+QUANTILE = "quantile"  # the axis of `threshold_quantiles`, in the place of `draw`
 
 
 def check_quantiles(quantiles: Sequence[float]) -> None:
-    """Raise ClunkError where quantiles are not such as `threshold_quantiles` takes."""
+    """Raise ClunkError unless quantiles are one or more different numbers from 0.5 to 1."""
     if not quantiles or len(set(quantiles)) < len(quantiles) or not all(0.5 <= each <= 1.0 for each in quantiles):
         raise ClunkError(
             "Quantiles are different shares of the draws that have the same outcome, from 0.5 to 1; found "
@@ -307,7 +308,7 @@ def check_quantiles(quantiles: Sequence[float]) -> None:
 
 
 def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.5, 0.95)) -> Thresholds:
-    """Thresholds between the values of the key at which so many of the drawn drivelines have the same outcome.
+    """Values of the key between which a given share of the drawn drivelines have the same outcome.
 
     Parameters
     ----------
@@ -319,8 +320,8 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     Returns
     -------
     Thresholds
-        With an axis `quantile`, the last, in the place of `draw`. Where no outcome has the share of the draws, it is
-        `uncertain`; of two outcomes that have half of the draws each, it is the first in the order of `words`.
+        With a last axis `quantile` in the place of `draw`. The outcome is `uncertain` where none has the share of the
+        draws; of two that have half of the draws each, it is the first in the order of `words`.
 
     Raises
     ------
@@ -346,14 +347,14 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     for cell in range(cells):
         at = np.flatnonzero(thresholds.cell % cells == cell)
         at = at[thresholds.value[at].argsort()]
-        # number of draws with each outcome, the last of failed runs, in each interval between any draw's thresholds
+        # number of draws with each outcome, last `failed`, in each interval between neighbours of all draws' thresholds
         counts = np.zeros((at.size + 1, len(thresholds.words) + 1), np.int64)
         np.add.at(counts[0], thresholds.lowest[cell::cells], 1)
         following = np.arange(1, at.size + 1)
         counts[following, thresholds.above[at]] += 1
         counts[following, thresholds.below[at]] -= 1
         counts = counts.cumsum(axis=0)
-        is_last = np.diff(thresholds.value[at], append=np.inf) > 0.0  # of the draws that change at the same value
+        is_last = np.diff(thresholds.value[at], append=np.inf) > 0.0  # the last of draws that change at the same value
         at, counts = at[is_last], counts[np.append(True, is_last)]
         likely = counts.argmax(axis=1)
         codes = np.where(likely == len(thresholds.words), FAILED_CODE, likely)

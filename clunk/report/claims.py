@@ -1,8 +1,9 @@
-"""Claims of the report: its numbers and statements, ours beside them, and where the report contradicts itself.
+"""Claims of the report: its numbers and statements, clunk's beside them, and where the report contradicts itself.
 
 S.W. Boere, *Transient response in torsional systems with backlash*, report DCT 2008.116, TU Eindhoven, 2008.
 
-A claim has the verdict that it is known to deserve. One that is known to agree and no longer does is a failure.
+Each claim states the verdict that it is known to deserve. A claim that is known to agree and no longer does is a
+failure.
 """
 
 from collections.abc import Iterator
@@ -36,13 +37,13 @@ class Verdict(StrEnum):
 
 
 class Claim(Record):
-    """A number or statement of the report beside ours.
+    """A number or statement of the report beside clunk's.
 
     where : place in the report
-    report : what it says
+    report : what the report says there
     ours : what clunk finds
-    shown : whether this shows the report to be right; or to contradict itself, where it is known to
-    known : the verdict that it is known to deserve
+    shown : whether clunk's finding shows the report to be right or, of a known contradiction, to contradict itself
+    known : the verdict that the claim is known to deserve
     """
 
     where: str = told("where")
@@ -121,7 +122,7 @@ def _models(e: Evidence) -> Iterator[Claim]:
     run = e.runs["restitution"][NOMINAL_RATIO]
     touches = np.flatnonzero(run.events["kind"] == TOUCH)
     after = run.states[touches, run.states.shape[1] // 2 :] @ Driveline.from_study(run.study).lashes[0]
-    rebounds = abs(after) > 0.0  # not those that lock
+    rebounds = abs(after) > 0.0  # touches after which the flanks do not lock
     ratio = after[rebounds] / run.events["speed"][touches][rebounds]
     yield _contradicts(
         "Eq. 2.8",
@@ -182,7 +183,7 @@ def _chatter(run: Trajectory) -> tuple[Floats, Floats]:
 
 
 def _linear_view(e: Evidence) -> Iterator[Claim]:
-    expected, levels = [1.46, 3.13, 6.69, 14.32], np.arange(4) + 0.5  # of n_c
+    expected, levels = [1.46, 3.13, 6.69, 14.32], np.arange(4) + 0.5  # thresholds σr, and n_c at each
     lowest = e.modes.damping_ratio[0]
     one_mode, exact = one_mode_thresholds(e.study), rigid_contact_thresholds(e.study)
     without = np.exp(lowest * levels)
@@ -288,7 +289,7 @@ def _severity(e: Evidence) -> Iterator[Claim]:
         + (f"; in one it falls by {fall:.0%} at most, {place}" if fall > 0.0 else ""),
         rising > 0.9 and fall < 0.2,
     )
-    ridge = ridge_of(ours.severity)  # NaN where Q is largest at neither end
+    ridge = ridge_of(ours.severity)  # for each σr the place of a maximum inside; NaN where Q is largest at an end
     crossing = np.flatnonzero(ratios > 3.2)  # beyond the second threshold every ratio has a crossing
     inside = bool(np.isfinite(ridge[crossing]).all())
     shown = [k for k in crossing[:: max(1, crossing.size // 3)] if np.isfinite(ridge[k])]
@@ -380,7 +381,7 @@ def _ordered(values: Array, axis: int) -> float:
 
 
 def _largest_fall(results: Results) -> tuple[float, str]:
-    """The largest relative fall of Q in one step up in the load ratio, and in which label."""
+    """The largest relative fall of Q in one step up in the load ratio, and the label and load ratio before the step."""
     before, after = results.severity[:-1], results.severity[1:]
     fall = 1.0 - np.divide(after, before, out=np.ones_like(before), where=before > 0.0)
     at = np.unravel_index(fall.argmax(), fall.shape)

@@ -1,4 +1,4 @@
-"""Maps and runs of the report's driveline, by which its claims are checked."""
+"""Maps and runs of the report's driveline, by which the report's claims are checked."""
 
 from functools import cache, cached_property
 
@@ -13,13 +13,13 @@ from clunk.study.study import Study, replace_values
 from clunk.sweeping.progress import ShowProgress
 from clunk.sweeping.sweep import sweep
 
-RATIOS = (1.0, 2.0, 5.0)  # of Figure 3.2
-NOMINAL_RATIO, NOMINAL_BACKLASH = 5.0, 6.0  # of Figures 3.1, 3.3 and 3.6
+RATIOS = (1.0, 2.0, 5.0)  # load ratios of Figure 3.2
+NOMINAL_RATIO, NOMINAL_BACKLASH = 5.0, 6.0  # load ratio, and degrees of backlash, of Figures 3.1, 3.3 and 3.6
 CONTACTS = ("indentation", "restitution")
 
 _DRIVELINE = '[driveline]\npreset = "boere-2008"\n'
 _AXIS = '[[sweep.axes]]\nparameter = "{}"\nstart = 0.0\nstop = {}\ncount = {}\n'
-# The rig's gaps in the model: so many times the measured ones, and so many degrees more.
+# Fit of the gaps in the model to those of the rig: a factor on the measured gaps, and an offset in degrees.
 _GAPS = """title = "Table 4.1 with the rig's gaps matched"
 [fit]
 candidates = 160
@@ -40,7 +40,7 @@ high = 12.0
 """
 _BY_RESTITUTION = 'lash.contact.model="restitution"'
 _AS_PRINTED = 'driveline.preset="boere-2008-as-printed"'
-MAPS = {  # by name: title, values an axis, overrides
+MAPS = {  # name -> title, number of values on each axis, overrides of the config
     "indentation": ("Indentation Force Model", 201, []),
     "restitution": ("Restitution Coefficient Model, e = 0.5", 201, [_BY_RESTITUTION]),
     "by_force": ("Indentation Force Model, separation by force", 101, ['lash.contact.separation="force"']),
@@ -52,7 +52,11 @@ Maps = dict[str, Results]  # of Figures 3.4 and 3.7 and their variants, by the n
 
 
 def run_maps(coarsen: int = 1, workers: int | None = None, progress: ShowProgress = False) -> Maps:
-    """Run the sweeps of `MAPS`, on 1/`coarsen` of their values an axis; progress : as of `clunk.sweep`, of each."""
+    """Run the sweeps of `MAPS`, by name.
+
+    coarsen : number of intervals between values of an axis that become one
+    progress : as in `clunk.sweep`, for each sweep separately
+    """
     maps = {}
     for name, (title, count, overrides) in MAPS.items():
         values = (count - 1) // coarsen + 1
@@ -122,12 +126,12 @@ class Evidence:
 
     @cached_property
     def measured(self) -> ExperimentComparison:
-        """Table 4.1 on the map of the indentation model."""
+        """Comparison of Table 4.1 with the map of the indentation model."""
         return compare_experiment(self.maps["indentation"], read_experiment("table_4_1"))
 
     @property
     def fitted(self) -> Fitted:
-        """The rig's gaps fitted to Table 4.1."""
+        """Fit of the rig's gaps in the model to Table 4.1, by the exact method."""
         return _gaps_fitted()
 
 

@@ -55,7 +55,7 @@ def with_tables(path: Path, claims: Sequence[Claim]) -> str:
 
 
 def figures(e: Evidence) -> dict[str, Callable[[], Figure]]:
-    """Every figure of the report and of what bears on it: a file name's stem, and how to draw it."""
+    """Figures of the report, and further ones that bear on it: stem of a file's name -> function that draws it."""
     thresholds = rigid_contact_thresholds(e.study).tolist()
     maps = e.maps
 
