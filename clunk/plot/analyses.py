@@ -45,13 +45,13 @@ from clunk.study.parameters import quantity
 from clunk.study.records import capital, counted, fill, words
 
 _RARE_COLOUR = "#a9adb0"
-_MARKED = 6  # transitions with colours of their own
-_LISTED = 3  # keys of the config that differ
-_PALE = 0.25  # depth of the regimes' colours under differing cells
-_NARROWEST = 0.002  # of the axis, a band that is seen
+_MARKED = 6  # most frequent transitions that have a colour each; the others share one
+_LISTED = 3  # differing keys of two configs that a figure names; of the others it gives the number
+_PALE = 0.25  # depth of the regimes' colours around differing cells: 0 is white, 1 the full colour
+_NARROWEST = 0.002  # narrowest band that is drawn, as a share of the axis
 _WITHOUT: Look = {"color": INK, "linewidth": 1.2, "linestyle": "--", "label": "without tolerances"}
-_WIDTH = 7.2  # inches, of charts of bars
-_BAR = 0.36  # of the distance from one parameter to the next
+_WIDTH = 7.2  # inches, width of bar charts
+_BAR = 0.36  # width of a bar, as a share of the distance from one parameter to the next
 _INTERVAL = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0}
 _FIRST, _SECOND = LINE_COLOURS[:2]
 
@@ -59,7 +59,9 @@ _FIRST, _SECOND = LINE_COLOURS[:2]
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """The regimes of A, pale, and on them each cell that has another label in B, coloured by the two labels.
+    """Map of the differences between two maps: the regimes of A, pale, and each cell that has another label in B.
+
+    A differing cell has the colour of its pair of labels. Cells that failed in B only are marked, too.
 
     Raises PlotError unless two axes were swept.
     """
@@ -89,9 +91,11 @@ def difference_map(comparison: Comparison) -> Figure:
 
 
 def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure:
-    """The regime map with the measured points on it: dots where the labels agree, crosses where not.
+    """Regime map with the measured points on it: dots where measured and computed labels agree, crosses elsewhere.
 
-    results : what `comparison` compares the measurements with
+    Points outside the swept range are only counted, in a note.
+
+    results : the map with which `comparison` compares the measurements
 
     Raises PlotError unless two axes were swept.
     """
@@ -105,11 +109,12 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
 
 
 def measured_on_maps(fitted: Fitted) -> Figure:
-    """The measured labels on maps before and after the fit, side by side, which are run: dots agree, crosses do not.
+    """Run the maps before and after the fit, and draw them side by side with the measured labels on them.
 
-    Points are compared with their own runs, not with the map's nearest cells.
+    A dot is a label that the model has at that point, a cross one that it has not. Points are compared with their own
+    runs, not with the map's nearest cells.
 
-    Raises ClunkError unless two parameters were measured, PlotError where the maps cannot be drawn.
+    Raises ClunkError unless exactly two of the measured parameters vary, PlotError where the maps cannot be drawn.
     """
     panels, names = [], []
     matches = {"nominal": fitted.nominal_matches, "fitted": fitted.estimate_matches}
@@ -122,7 +127,10 @@ def measured_on_maps(fitted: Fitted) -> Figure:
 
 
 def _with_points(results: Results, points: Sequence[tuple[Mapping[str, float], str, bool]]) -> Layers:
-    """The layers of a map with measured points: values by parameter, label, and whether the model has it there."""
+    """Layers of a map with measured points.
+
+    points : of each, its values by parameter, the measured label, and whether the model has that label there
+    """
     layers = Layers.of(results, View.of_plane(results))
     x, y = parameters_of(layers.view.axes)
     return replace(layers, points=tuple(Measured(at[x], at[y], label, is_met) for at, label, is_met in points))
@@ -132,7 +140,10 @@ def _with_points(results: Results, points: Sequence[tuple[Mapping[str, float], s
 
 
 def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis:
-    """The axis with several values beside the key. Raises PlotError where there is none, or more than one."""
+    """The only axis with several values, draws and quantiles aside; `axes` are those of thresholds, without the key's.
+
+    Raises PlotError where there is no such axis, or more than one.
+    """
     several = [axis for axis in axes if len(axis) > 1 and axis.parameter not in (DRAW, QUANTILE)]
     if len(several) > 1:
         names = " and ".join(parameters_of(several))
@@ -144,13 +155,14 @@ def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis:
 
 @styled()
 def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) -> Figure:
-    """The outcomes as coloured bands over the other axis, exact upwards, and the thresholds as curves between them.
+    """Figure of thresholds: outcomes as coloured bands over the other axis, and thresholds as curves between the bands.
 
-    Of quantiles of draws in a band a share of the drawn drivelines has one outcome, darker for a larger share.
+    The key is the upward axis, on which the curves are exact at the other axis's values. For quantiles of draws, a band
+    is where at least a share of the drawn drivelines has the same outcome; larger shares are darker.
 
-    nominal : thresholds without tolerances where these are quantiles, drawn as dashed curves
+    nominal : thresholds without tolerances, drawn as dashed curves; only where `thresholds` are quantiles of draws
 
-    Raises PlotError where there is not one other axis with several values.
+    Raises PlotError unless exactly one other axis has several values.
     """
     single = nominal or thresholds
     x, study = other_axis(single.axes), thresholds.study
@@ -182,7 +194,10 @@ def threshold_figure(thresholds: Thresholds, nominal: Thresholds | None = None) 
 
 
 def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
-    """Codes of a cell's intervals that are wide enough to be seen, and the thresholds between them."""
+    """Codes of the outcomes in a cell's intervals, and the thresholds between these intervals.
+
+    Intervals too narrow to see are left out, and neighbours that then have the same code are joined.
+    """
     narrowest = _NARROWEST * np.ptp(thresholds.along.values)
     codes: list[int] = []
     begins = []
@@ -196,12 +211,13 @@ def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[flo
 def _draw_bands(
     ax: Axes, thresholds: Thresholds, x: ResultAxis, fills: Mapping[int, str], every: slice, **look: object
 ) -> set[int]:
-    """Fill the intervals of the key with one outcome as bands over x, and draw the thresholds between them.
+    """Fill the key's intervals of one outcome as bands over the axis `x`, and draw the thresholds between as curves.
 
-    fills : colour of each code; those without one stay empty
-    every : of the thresholds' cells, those that are drawn
+    fills : colour of each code; bands of other codes stay empty
+    every : slice of the thresholds' cells that picks those to draw, one for each value of `x`
+    look : of the curves
 
-    Returns the codes of the outcomes that have a band.
+    Returns the codes of the outcomes that have a filled band.
     """
     seen = set()
     low, high = thresholds.along.values[[0, -1]]
@@ -229,9 +245,10 @@ def _draw_bands(
 
 @styled()
 def sobol_bars(sensitivity: Sensitivity) -> Figure:
-    """First-order and total index of each parameter with their intervals, a panel for each quantity that varies.
+    """Bar chart of the first-order and total Sobol index of each parameter, with their confidence intervals.
 
-    The parameters are in the order of the first panel's total indices, the largest on top.
+    Each quantity that varies has a panel. The parameters of all panels are in the order of the first panel's total
+    indices, the largest on top.
 
     Raises PlotError where no quantity varies.
     """
@@ -262,7 +279,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
 
 @styled()
 def trade_off(front: Front) -> Figure:
-    """The minimised value over the quantity that is bounded, a point for each optimum."""
+    """Curve of the minimised value over the bounded quantity, with a point for each optimum of a trade-off."""
     figure = new_figure()
     ax = figure.add_subplot()
     minimized, bounded = front.traded
@@ -274,7 +291,7 @@ def trade_off(front: Front) -> Figure:
 
 
 def _label(name: str, front: Front) -> str:
-    """Label of the axis of a quantity, of a key, or of the release time, which has no unit but a time's."""
+    """Axis label of what a trade-off compares: a quantity, a key of the config, or the release time  [s]."""
     if name == RELEASE_TIME:
         return "Release time [s]"
     if name in front.points[0].parameters:

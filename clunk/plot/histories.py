@@ -38,26 +38,27 @@ from clunk.study.errors import listing
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 
 Runs = Sequence[History]
-Looks = dict[str, Look]  # colour, dashes and width of the curves of each run, by its name
+Looks = dict[str, Look]  # name of a run -> colour, dashes and width of its curves
 
-_WIDTH, _AROUND, _LOWEST = 7.2, 1.2, 4.6  # inches: of a figure, around its panels, and its least height
-_LINE = 1.3  # points
+_WIDTH, _AROUND, _LOWEST = 7.2, 1.2, 4.6  # inches: a figure's width, the height around its panels, its least height
+_LINE = 1.3  # points, width of a curve
 _PATTERNS: tuple[Any, ...] = ("solid", DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
 _DOTTED = (0, (1.0, 2.0))
-_CLOSE, _BEFORE, _TICK = 0.1, 0.03, 0.01  # s: of a close-up, of it before the impact, and between its ticks
+_CLOSE, _BEFORE, _TICK = 0.1, 0.03, 0.01  # s: length of a close-up, its part before the impact, and its tick spacing
 _GAP_FILL = "#e4e4e4"
-_LEAST = 1e-6  # mm, of a coordinate: locked flanks stay together but for rounding, which is nothing to look at
-_LABELLED = 6  # impacts; more arrows than these would hide the curve, and each other
+_LEAST = 1e-6  # mm, least reach of the coordinate's axis: locked flanks move by rounding alone, which it must not show
+_LABELLED = 6  # most impacts whose severity is marked: more arrows would hide the curve, and each other
 
 
 @styled()
 def history_figure(runs: Runs, name: str = "everything") -> Figure:
-    """One of the `FIGURES`, its panels over one time axis.
+    """Draw the runs as one of the `FIGURES`, with its panels over one time axis.
 
-    Backlash coordinate and acceleration have a panel for each lash that all runs have. In the figures `backlash` and
-    `acceleration` of one lash there is a panel for each load and gap, which runs that have these share (Figure 3.2).
+    Of several lashes, backlash coordinate and acceleration have a panel for each lash that all runs have. Of one lash,
+    the figures `backlash` and `acceleration` have a panel for each load and gap, in which all runs with this load and
+    gap are drawn (Figure 3.2). The figure `closeup` shows one lash only.
 
-    Raises PlotError where there is no run, or no primary impact to look at closely.
+    Raises PlotError where there is no run, or a `closeup` has no primary impact to show.
     """
     if not runs:
         raise PlotError("There is no run to draw.")
@@ -87,7 +88,7 @@ def history_figure(runs: Runs, name: str = "everything") -> Figure:
 
 
 def _look_closely(ax: Axes, runs: Runs) -> None:
-    """Show the backlash coordinate near the flank of the first primary impact for a tenth of a second (Figure 3.3)."""
+    """Limit the axes to 0.1 s around the first primary impact, near the flank that it hits (Figure 3.3)."""
     first = min((run for run in runs if run.impacts), key=lambda run: run.impacts[0].begin, default=None)
     if first is None:
         raise PlotError("There is no impact to look at closely: no primary impact happens.")
@@ -103,7 +104,7 @@ def _look_closely(ax: Axes, runs: Runs) -> None:
 
 
 def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
-    """A column of axes over one time axis; heights  [inches]."""
+    """Figure with a column of axes over one time axis, and lines at the load steps; heights : of the axes  [inches]."""
     figure = new_figure((_WIDTH, max(_AROUND + sum(heights), _LOWEST)))
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
     axes[-1].set_xlabel("Time [s]")
@@ -119,22 +120,22 @@ def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
 
 
 def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, lashes: int) -> None:
-    """Write the titles, and below a legend of the runs and of the touches; lashes : how many are in view."""
+    """Write the titles, and below the panels a legend of the runs and of the touches; lashes : how many are drawn."""
     titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
     line = listing([*loads]) + (f", {cases.pop()}" if len(cases) == 1 else "")
-    told = {run.name: f": {outcome(run)}" for run in runs}
+    outcomes = {run.name: f": {outcome(run)}" for run in runs}
     if lashes > 1:
         labels = {run.name: ", ".join(each.trajectory.label for each in run.lashes[:lashes]) for run in runs}
-        told = {name: f": {text}" if len(runs) > 1 else "" for name, text in labels.items()}
+        outcomes = {name: f": {text}" if len(runs) > 1 else "" for name, text in labels.items()}
     handles = []
     if len(runs) == 1:
-        line += told[runs[0].name]
+        line += outcomes[runs[0].name]
     else:
         names = [run.name for run in runs]
         for name, look in _looks(runs).items():
-            text = plain(name) + (told[name] if names.count(name) == 1 else "")
+            text = plain(name) + (outcomes[name] if names.count(name) == 1 else "")
             handles.append(Line2D([], [], **look, label=text))
     if any(line.get_gid() in ("primary", "secondary") for ax in axes for line in ax.lines):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
@@ -143,13 +144,13 @@ def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, lashes: int) -> No
 
 
 def _looks(runs: Runs) -> Looks:
-    """Colours and dashes of runs, alike for one name."""
+    """Colour, dashes and width of the curves of each run; runs of the same name look the same."""
     each = zip(dict.fromkeys(run.name for run in runs), cycle(LINE_COLOURS), cycle(_PATTERNS), strict=False)
     return {name: {"color": colour, "linestyle": dashes, "linewidth": _LINE} for name, colour, dashes in each}
 
 
 def _case(run: History) -> str:
-    """The load and the gap of a run, in symbols."""
+    """Text on the load and the backlash of a run, in symbols."""
     load = run.study.load
     inputs, pieces = run_load(run.study)
     before, after = inputs[TORQUE], pieces[-1, LEVEL]
@@ -164,14 +165,17 @@ def _case(run: History) -> str:
 
 
 def outcome(run: History) -> str:
-    """The label of a run and its severity, where it has one; of one of several lashes with its name."""
+    """Text with the label of a run, and its severity if above 0; of several lashes the lash's name comes first."""
     severity = run.trajectory.severity
     name = f"{run.study.lash_names[run.trajectory.lash]} " if len(run.lashes) > 1 else ""
     return name + run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
 
 
 def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """Angle of every inertia in its colour, of each run in its dashes; where the driveline rolls, less its rolling."""
+    """Draw the angles of all inertias: colour tells the inertia, dashes tell the run.
+
+    Of a driveline that can rotate as a whole, this rigid-body rotation is subtracted (`History.twist`).
+    """
     names, notes = runs[0].study.driveline.names, []
     colours = cycle([*LINE_COLOURS, *(tint(colour, 0.5) for colour in LINE_COLOURS)])
     for inertia, colour in zip(range(max(run.twist.shape[1] for run in runs)), colours, strict=False):
@@ -186,7 +190,7 @@ def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
 
 
 def draw_torque(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """Torque of the load."""
+    """Draw the torque of the load."""
     for run in runs:
         single = {"color": INK} if len(runs) == 1 else {}  # the first inertia has the first run's colour
         ax.plot(run.time, run.torque, zorder=3, **looks[run.name] | single)
@@ -196,7 +200,7 @@ def draw_torque(ax: Axes, runs: Runs, looks: Looks) -> None:
 
 
 def draw_backlash(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """Backlash coordinate x_b in millimetres, the widest gap in grey, touches filled where primary."""
+    """Draw the backlash coordinate x_b in mm over the widest gap in grey, and the touches: filled ones are primary."""
     flanks, size, reach = flank_names(runs), 6.5, _LEAST
     widest = max(flanks)
     ax.axhspan(-widest, widest, color=_GAP_FILL, linewidth=0.0, zorder=0)
@@ -207,7 +211,7 @@ def draw_backlash(ax: Axes, runs: Runs, looks: Looks) -> None:
             marker: Look = {"marker": "^" if side > 0 else "v", "gid": "primary" if primary else "secondary"}
             marker |= _touch_look(look["color"], primary=primary, size=size)
             ax.plot(run.time[row], coordinate[row], **marker)
-        size *= 0.8  # so that of impacts in one place all can be seen
+        size *= 0.8  # the markers of later runs are smaller, so that all of those in one place can be seen
         reach = max(reach, 1.2 * widest, 1.05 * abs(coordinate).max())
     ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
     ax.set_ylim(-reach, reach)
@@ -219,7 +223,11 @@ def draw_backlash(ax: Axes, runs: Runs, looks: Looks) -> None:
 
 
 def flank_names(runs: Runs) -> dict[float, str]:
-    """Names of the flanks of the widest gap, by their backlash coordinates  [mm]."""
+    """Backlash coordinate [mm] -> name of the flank there, for both flanks of the widest gap.
+
+    A flank is plainly a "flank" where the runs do not have the same initial flank. Without any gap, the coordinate 0
+    has the only entry, "no gap".
+    """
     widest = max(1e3 * run.half_gap for run in runs)
     initial = {run.trajectory.initial_side for run in runs}
     if not widest:
@@ -229,14 +237,14 @@ def flank_names(runs: Runs) -> dict[float, str]:
 
 
 def _touch_look(colour: Any, *, primary: bool, size: float = 6.5) -> Look:
-    """Look of a touch's marker: primary impacts filled, chatter small and open."""
+    """Look of a touch's marker: filled for a primary impact, small and open for chatter; size : in points."""
     edge, face, zorder = (INK, colour, 5) if primary else (colour, "white", 4)
     look = {"linestyle": "none", "color": colour, "markeredgewidth": 0.7, "markersize": size if primary else 4.0}
     return look | {"markeredgecolor": edge, "markerfacecolor": face, "zorder": zorder}
 
 
 def draw_acceleration(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """Acceleration of the watched inertia, and of a single run the peak-to-peak values that Q is made of."""
+    """Draw the acceleration of the inertia that gives the severity, and mark each Q_i if there is a single run."""
     for run in runs:
         ax.plot(run.time, run.acceleration[:, run.watched - 1], zorder=3, **looks[run.name] | {"linewidth": 1.0})
     watched = {run.watched for run in runs}
@@ -251,7 +259,7 @@ def draw_acceleration(ax: Axes, runs: Runs, looks: Looks) -> None:
 
 
 def _mark_severity(ax: Axes, run: History) -> None:
-    """A double arrow over each impact's peak-to-peak acceleration, with its value."""
+    """Draw a double arrow over the peak-to-peak acceleration of each primary impact, with the value of its Q_i."""
     begin, end = run.time[[0, -1]]
     look: Look = {"ha": "center", "va": "bottom", "fontsize": 9.0, "gid": "severity", "zorder": 6}
     look["arrowprops"] = {"arrowstyle": "<->", "relpos": (0.5, 0.0), "shrinkA": 0.0, "shrinkB": 0.0}
@@ -263,18 +271,21 @@ def _mark_severity(ax: Axes, run: History) -> None:
 
 
 def measured_impacts(run: History) -> Sequence[Impact]:
-    """The primary impacts whose peak-to-peak accelerations are marked: none where they would hide the curve."""
+    """Primary impacts within the history whose severities Q_i are marked in a figure.
+
+    There are none for rigid flanks, nor where more than six arrows would hide the curve.
+    """
     impacts = [each for each in run.impacts if each.begin <= run.time[-1] and not run.study.has_rigid_flanks]
     return impacts if len(impacts) <= _LABELLED else []
 
 
 def _index(number: int) -> str:
-    """A subscript as TeX."""
+    """TeX of a number as a subscript."""
     return rf"$_\mathregular{{{number}}}$"
 
 
 _OF_LASH = (draw_backlash, draw_acceleration)
-# Name of a figure -> its panels from above, and the height of each  [inches].
+# Name of a figure -> its panels from top to bottom: the function that draws the panel, and its height  [inches].
 FIGURES: dict[str, Sequence[tuple[Callable[[Axes, Runs, Looks], None], float]]] = {
     "everything": ((draw_torque, 0.8), (draw_angles, 2.7), (draw_backlash, 2.2), (draw_acceleration, 2.3)),
     "angles": ((draw_angles, 3.2), (draw_torque, 0.8)),
@@ -286,11 +297,12 @@ FIGURES: dict[str, Sequence[tuple[Callable[[Axes, Runs, Looks], None], float]]] 
 
 @styled()
 def small_gap(title: str, response: SmallGap) -> Figure:
-    """The response as the backlash vanishes, and how long the lowest mode lifts it off its flank (Figure 3.5).
+    """Draw the torque across the lash as the backlash vanishes, and the decay of its lowest mode (Figure 3.5).
 
-    With no gap to cross, the lash stays closed and its torque F changes sign instead. With the lowest mode alone it
-    swings within F_end ± ΔF exp(-ζ1 ω1 t); one side of this crosses zero at the characteristic time t_c, and
-    n_c = t_c ω1 / 2π = ln|σr| / (2π ζ1) periods fit in (report Eq. 3.1, where 2π is missing), with σr = ΔF / F_end.
+    With no gap to cross, the lash stays closed, and its torque F changes sign where the teeth would impact. With the
+    lowest mode alone F stays within F_end ± ΔF exp(-ζ1 ω1 t). One of these two limits crosses zero at the
+    characteristic time t_c after the step, which is n_c = t_c ω1 / 2π = ln|σr| / (2π ζ1) periods of that mode (report
+    Eq. 3.1, where 2π is missing), with σr = ΔF / F_end.
     """
     ratio = f"{response.ratio:.4g}".replace("-", "−")
     values = f"{symbol_text('σr')} = {ratio}, {symbol_text('ζ1')} = {response.damping_ratio:.3f}"

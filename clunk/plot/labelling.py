@@ -1,4 +1,4 @@
-"""Texts on a map: names within their regions, measured labels beside their points."""
+"""Placement of texts on a map: names within their regions, measured labels beside their points."""
 
 import math
 from collections.abc import Sequence
@@ -16,19 +16,20 @@ from clunk.plot.layers import Layers, Measured
 from clunk.plot.style import CENTRED
 from clunk.study.arrays import Bools, Floats, LabelCodes
 
-_PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
-_NOWHERE = -2  # no region, so that no name is written there
-_ROOM = 0.22  # of a text's size, around it
-# Where a text goes beside its point, the first that is free: right, left, above, below, and then askew.
+_PIXEL = 2.0  # display pixels per raster pixel; a finer raster would only be slower
+_NOWHERE = -2  # code of pixels that are taken: it is no region's, so that no name is written there
+_ROOM = 0.22  # margin around a text, as a share of its font size
+# Sides of its point on which a text may stand, (right, up), in the order in which they are tried: right, left, above,
+# below, and then the four diagonals.
 _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
 
 
 @dataclass
 class Raster:
-    """Pixels of a map's axes on the page, rows upwards.
+    """Raster of a map's axes as they are laid out on the page; its rows go upwards.
 
     codes : (height, width) region of each pixel
-    taken : (height, width) whether a measured label or its point is there
+    taken : (height, width) whether a measured label or its point covers the pixel
     """
 
     ax: Axes
@@ -37,7 +38,7 @@ class Raster:
 
     @classmethod
     def of(cls, ax: Axes, layers: Layers) -> "Raster":
-        """The regions of a map, or of a strip over its whole height, as they are drawn."""
+        """Raster of the regions of a map as they are drawn; those of a strip reach over its whole height."""
         box, to_data = ax.get_window_extent(), ax.transData.inverted().transform
         across, upward = (np.arange(0.5 * _PIXEL, side, _PIXEL) for side in (box.width, box.height))
         x = to_data(np.column_stack([box.x0 + across, np.full(across.size, box.y0)]))[:, 0]
@@ -51,23 +52,25 @@ class Raster:
         return (self.ax.transData.transform(values) - [box.x0, box.y0]) / _PIXEL
 
     def measure(self, text: str, size: float) -> tuple[int, int]:
-        """Width and height in raster pixels that a text takes, with room around it."""
+        """Width and height of a text with the margin around it, in raster pixels; size : of the font, in points."""
         canvas: Any = self.ax.figure.canvas
         width, height, _ = canvas.get_renderer().get_text_width_height_descent(text, FontProperties(size=size), False)
         room = 2.0 * _ROOM * size * self.ax.figure.dpi / 72.0
         return math.ceil((width + room) / _PIXEL), math.ceil((height + room) / _PIXEL)
 
     def write(self, text: str, x: float, y: float, size: float, **look: Any) -> None:
-        """Write a text with its centre at a place in raster pixels."""
+        """Write a text with its centre at (x, y) in raster pixels; size : of the font, in points."""
         box = self.ax.get_window_extent()
         across, upward = self.ax.transData.inverted().transform((box.x0 + x * _PIXEL, box.y0 + y * _PIXEL))
         self.ax.text(across, upward, text, fontsize=size, **CENTRED | {"zorder": 5, "parse_math": False} | look)
 
 
 def write_beside(raster: Raster, points: Sequence[Measured], size: float, radius: float) -> bool:
-    """Write labels beside their points and over nothing else that is written; returns whether one had no room.
+    """Write each measured label beside its point, where it covers no other label or point.
 
-    size, radius : of the labels and of the points, in points
+    size, radius : font size of the labels and radius of the points, in typographic points
+
+    Returns whether any label had no room and was left out.
     """
     around = raster.pixels(np.array([(point.x, point.y) for point in points]).reshape(-1, 2)).tolist()
     reach = radius * raster.ax.figure.dpi / 72.0 / _PIXEL
@@ -95,9 +98,12 @@ def write_beside(raster: Raster, points: Sequence[Measured], size: float, radius
 
 
 def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float]) -> list[str]:
-    """Write each name into its region, level or along it, as large as there is room; returns those that found none.
+    """Write each name into its region, in the first of the sizes that has room, level or else turned along the region.
 
-    sizes : that are tried
+    names : of the regions, in the order of their codes
+    sizes : font sizes to try, in points, the largest first
+
+    Returns the names that had no room in any size.
     """
     codes, without = np.where(raster.taken, _NOWHERE, raster.codes), []
     for code, name in enumerate(names):
@@ -113,11 +119,13 @@ def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float]) ->
 
 
 def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) -> tuple[float, float, float] | None:
-    """The rectangle within a mask that may grow furthest in all directions.
+    """Place for a rectangle of given size within a mask, with the widest margin on all sides.
 
-    is_along : whether it is turned along the mask's longer axis of inertia, and else level
+    mask : (rows, columns), True inside
+    width, height : of the rectangle, in pixels of the mask
+    is_along : whether the rectangle is turned along the mask's longer principal axis; otherwise it is level
 
-    Returns its centre, (x, y), and its angle in degrees; None where there is no room.
+    Returns the rectangle's centre, x in columns and y in rows, and its angle in degrees; None where it has no room.
     """
     if not mask.any():
         return None
@@ -127,12 +135,12 @@ def roomiest(mask: Bools, width: int, height: int, *, is_along: bool = False) ->
         (xx, xy), (_, yy) = np.cov(columns, rows, ddof=0)
         angle = math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy))
         turned = np.asarray(Image.fromarray(mask).rotate(angle, expand=True))
-    # of each pixel, by how many pixels the rectangle around it may grow, and one more; 0 where it has no room
+    # At each pixel, 1 plus the number of pixels by which a rectangle centred there may grow; 0 where it has no room.
     room = ndimage.minimum_filter(turned, (height, width), mode="constant")
     margins = ndimage.distance_transform_cdt(np.pad(room, 1), "chessboard")[1:-1, 1:-1]
     if not margins.any():
         return None
-    # Of many places as good, as along a band, the one nearest their middle.
+    # Along a band many places have nearly the widest margin: of these, take the one nearest their mean.
     good = margins > int(0.93 * (margins.max() - 1))
     places = np.argwhere(good)[:, ::-1] + 0.5 * (np.array([width, height]) % 2 - turned.shape[::-1])
     u, v = places[np.hypot(*(places - places.mean(axis=0)).T).argmin()]

@@ -1,4 +1,4 @@
-"""Layers of a plane: regions with their colours, a quantity's values, lines and marks, of any map that is drawn."""
+"""Layers of a drawn map: its regions with their colours, the values of a quantity, lines, marks and texts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,14 +22,15 @@ from clunk.study.axes import ResultAxis
 from clunk.study.loads import STEP_KEYS
 from clunk.study.records import counted
 
-MOST_LABELS = 16  # that are told apart: more are grouped by their number of double-sided impacts
-_SEEN = 5e-6  # of a map's area, some pixels: a smaller region has no name, a smaller island no line
-_MOST_STEPS = 40_000  # of lines between cells: more would be a veil
-_FADES = (0.5, CERTAIN), (0.8, 0.3)  # certainty of a label, and how far its colour is taken towards white
+MOST_LABELS = 16  # regions with a colour each; more labels are grouped by their number of double-sided impacts
+_SEEN = 5e-6  # share of a map's area, some pixels: a smaller region has no name, a smaller island no line
+_MOST_STEPS = 40_000  # most cell edges drawn as lines between regions: more would cover the map like a veil
+# Certainties of a label, and how far each takes its colour towards white (0 to 1), linear in between.
+_FADES = (0.5, CERTAIN), (0.8, 0.3)
 
 
 class Measured(NamedTuple):
-    """A measured label at a point of a map, and whether the map has it there."""
+    """A measured label at a point of a map, in the axes' units, and whether the computed label there agrees with it."""
 
     x: float
     y: float
@@ -38,7 +39,7 @@ class Measured(NamedTuple):
 
 
 class Note(NamedTuple):
-    """A text in the notes under a figure, and the colour before it, if there is one."""
+    """A text in the notes under a figure, and the colour of the swatch before it; empty for no swatch."""
 
     text: str
     colour: str
@@ -46,26 +47,27 @@ class Note(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """The drawn parts of a map over ascending axes: regions, and the values of a quantity where it is a number.
+    """Parts of a map as they are drawn over ascending axes: regions, and the values of a quantity that is a number.
 
     title : str
-    load : str, in words
+    load : str, the load in words
     view : View, the axes
     quantity : Quantity
-    names, colours : of the regions: labels, or groups of them, or the values of a quantity that are told apart
-    codes : (nx, ny) int16, regions of the cells, of a strip (nx,), of points (cells,) in C order; -1 failed
-    regions_of : code in the boundaries -> region; the last is that of failed cells
-    boundaries : Boundaries, if they have been traced: of them those between two regions are drawn
-    undecided : bool, shape of `codes`: cells of a grid whose margin is below its tolerance, where it matters
-    unresolved : (n, axes) places that tracing left open
-    values : float64, shape of `codes`, NaN where a quantity is not known; of labels empty
+    names, colours : of the regions, which are labels, groups of labels, or values of a quantity such as yes and no
+    codes : int16, region of each cell: (nx, ny), of a strip (nx,), of points (cells,) in C order; -1 failed
+    regions_of : (labels + 1,) int16, region of each label code of the boundaries; last -1, for failed cells
+    boundaries : Boundaries, if they have been traced; only curves between two different regions are drawn
+    undecided : bool, shape of `codes`: cells of a regime map's grid whose label is undecided (`QUALITY_UNDECIDED`), if
+        another label could be in another region
+    unresolved : (n, axes) float64, places where the tracing left boundaries unresolved, in the axes' units
+    values : float64, shape of `codes`, NaN where the quantity is not known; empty where it is the label
     value_label : name of the values beside an axis or a colour bar
-    shaded : whether cells have the colours of their values, in the place of their regions'
-    paint : (nx, ny, 3), colours of the cells in the place of the regions', 0 to 255, if there are any
+    shaded : whether cells have the colours of their values instead of their regions' colours
+    paint : (nx, ny, 3) float64, 0 to 255, colours of the cells instead of their regions' colours, if any
     points : measured labels
     notes : further notes under the figure
-    facts : for the line under the title
-    caveats : phrases on what the map does not tell, behind them
+    facts : phrases for the line under the title
+    caveats : phrases on what the map does not tell, which come after the facts
     """
 
     title: str
@@ -92,13 +94,16 @@ class Layers:
     def of(
         cls, drawn: AnyMap, view: View, quantity: str = LABEL, most: int = MOST_LABELS, among: AnyMap | None = None
     ) -> "Layers":
-        """Layers of a quantity of a map in a view; over one axis regions are labels, and values how hard impacts are.
+        """Layers of a quantity of a map in a view.
 
-        most : labels that are told apart; more are shown by their number of double-sided impacts
-        among : the map that it is a part of, of which others are drawn, too
+        Over one axis, the regions are the labels, and the values those of the quantity; where the label itself is
+        asked for, they are those of the `hardness` of the impacts.
 
-        Raises PlotError where the quantity is not defined in any cell of these, ClunkError where there is none of that
-        name.
+        most : most labels with a region each; more are grouped by their number of double-sided impacts
+        among : the whole map, where `drawn` is a part of it and other parts are drawn beside it
+
+        Raises PlotError where the quantity is not defined in any cell of the whole map, ClunkError where there is no
+        quantity of that name.
         """
         described = quantity_of(quantity, drawn)
         if is_strip := len(view.axes) == 1 and described.type == TEXT:
@@ -142,9 +147,9 @@ class Layers:
         by_label = None not in of_labels
         whole = np.unique(np.array(of_labels) if by_label else values[np.isfinite(values)])
         if described.type == YES_NO:
-            whole = np.arange(2.0)  # one of them alone has its colour, too
+            whole = np.arange(2.0)  # both, so that yes and no have the same colours where only one of them occurs
         if (by_label or described.type == YES_NO) and whole.size <= MOST_LABELS and not draws:
-            if not by_label:  # lines are traced between labels
+            if not by_label:  # traced boundaries are those between labels, not between values of this quantity
                 codes = np.where(np.isnan(values), FAILED_CODE, whole.searchsorted(values)).astype(np.int16)
                 unresolved, undecided = layers.unresolved[:0], np.zeros_like(undecided)
                 layers = replace(layers, codes=codes, boundaries=None, unresolved=unresolved, undecided=undecided)
@@ -159,7 +164,7 @@ class Layers:
         return replace(layers, codes=codes, shaded=True, undecided=np.zeros_like(undecided))
 
     def _grouped(self, most: int) -> "Layers":
-        """Regions of labels, or of their numbers of double-sided impacts where the labels are too many to be read."""
+        """Layers with labels grouped by their number of double-sided impacts if more than `most` labels are seen."""
         if len(self.seen) <= most:
             return self
         numbers = np.array([-1 if name == "NI" else double_sided(name) for name in self.names])
@@ -168,7 +173,7 @@ class Layers:
         return self._regrouped(numbers, looks, "labels grouped by their number of double-sided impacts")
 
     def _looks_of(self, whole: Floats) -> dict[float, tuple[str, str]]:
-        """Name and colour of each of these values of the quantity."""
+        """Name and colour of the region of each of these values of the quantity, which are whole numbers."""
         counts = whole.astype(int).tolist()
         names = [("no", "yes")[count] if self.quantity.type == YES_NO else str(count) for count in counts]
         is_grouped = self.quantity.name == "double_sided_impacts"
@@ -176,10 +181,13 @@ class Layers:
         return dict(zip(whole.tolist(), zip(names, tints, strict=True), strict=True))
 
     def _regrouped(self, numbers: Array, looks: Mapping[float, tuple[str, str]], fact: str) -> "Layers":
-        """The layers with a region for all labels with the same number, marked where two of these meet.
+        """Layers in which all present regions with the same number become one region.
 
-        numbers : of each label
-        looks : name and colour of each number
+        Marks of doubt stay only where two of the new regions meet: elsewhere a doubtful label changes nothing.
+
+        numbers : a number for each present region, in the order of their codes
+        looks : number -> name and colour of its region
+        fact : phrase for the line under the title
         """
         present, group = np.unique(numbers, return_inverse=True)
         regions_of = np.array([*group, FAILED_CODE], np.int16)
@@ -199,7 +207,7 @@ class Layers:
         )
 
     def _faded(self, drawn: ToleranceMap) -> "Layers":
-        """The most likely labels, or groups of them, paler where they are less certain."""
+        """Layers of the most likely label, or group of labels, in each cell, paler where this is less certain."""
         if self.failed.all():
             return self
         regions = np.arange(len(self.names))[:, None] == self.regions_of[:-1]
@@ -219,13 +227,16 @@ class Layers:
 
     @property
     def doubts(self) -> Floats:
-        """(n, axes) places of undecided cells, and of those that tracing left open."""
+        """(n, axes) places of undecided cells, and then those of unresolved boundaries, in the axes' units."""
         cells = [axis.values[k] for axis, k in zip(self.view.axes, self.undecided.nonzero(), strict=True)]
         return np.vstack([np.column_stack(cells), self.unresolved])
 
     @property
     def has_light_lines(self) -> bool:
-        """Whether boundaries are seen as light lines: on all colours but those that begin or turn at white."""
+        """Whether white boundaries stand out from the cells' shades.
+
+        They do not where shades begin at white, as of probabilities, or have white in their middle, as of the margin.
+        """
         return self.quantity.type != YES_NO and self.quantity.name != "margin"
 
     def colours_of(self, regions: LabelCodes) -> Floats:
@@ -234,12 +245,15 @@ class Layers:
 
     @property
     def failed(self) -> Bools:
-        """Cells that failed."""
+        """Whether each cell failed, shape of `codes`."""
         return self.codes == FAILED_CODE
 
     @cached_property
     def shares(self) -> Floats:
-        """Share of the map of each region, as traced, and else of its cells; last that of what failed."""
+        """(regions + 1,) share of the map that each region has, and last what failed.
+
+        It is a share of the traced area where boundaries have been traced, and otherwise of the number of cells.
+        """
         regions, areas = self.codes.ravel(), np.full(self.codes.size, 1.0 / self.codes.size)
         if self.boundaries is not None:
             regions, areas = self.regions_of[self.boundaries.region_label], self.boundaries.region_area
@@ -251,9 +265,9 @@ class Layers:
         return [name for name, share in zip(self.names, self.shares, strict=False) if share >= _SEEN]
 
     def legend(self, names: Sequence[str], *, is_counted: bool = True) -> list[Note]:
-        """Notes on regions of these names, on cells that failed, have no value or are blurred, and the map's own.
+        """Notes on the named regions, on cells that failed, have no value or are blurred, and then `Layers.notes`.
 
-        is_counted : whether they say how much of the map it is
+        is_counted : whether the notes tell the regions' shares of the map and the numbers of cells
         """
 
         def text(name: str, count: str) -> str:
@@ -277,15 +291,19 @@ class Layers:
 
     @property
     def bands(self) -> tuple[Floats, LabelCodes]:
-        """Edges (n + 1,) and regions (n,) of a strip's bands, with edges halfway between samples."""
+        """Edges (n + 1,) and regions (n,) of the bands of a strip, each band a row of neighbouring cells of one region.
+
+        An edge between bands is halfway between two samples, see `cell_edges`.
+        """
         edges, first = cell_edges(self.view.x), np.flatnonzero(np.diff(self.codes, prepend=self.codes[0] - 1))
         return np.append(edges[first], edges[-1]), self.codes[first]
 
     @cached_property
     def lines(self) -> list[Floats]:
-        """Lines (n, 2) between two regions: as traced, or along the cells, if they are not too many to be seen.
+        """Lines (n, 2) between two regions: traced curves, or else edges between cells, unless there are too many.
 
-        None around an island too small to be seen, of which it would be all that is drawn.
+        A closed curve around an island that is too small to be seen is left out: it would be all that is drawn of the
+        island.
         """
         if self.boundaries is None:
             return _lines_between(self.codes, *map(cell_edges, self.view.axes))
@@ -301,7 +319,10 @@ class Layers:
 
     @cached_property
     def outlines(self) -> list[tuple[int, tuple[Floats, ...]]]:
-        """Region, and closed polygons (n, 2) of each connected part of it as traced: the outer one, then holes."""
+        """Region and closed polygons (n, 2) of each connected traced part of the map: the outer polygon, then holes.
+
+        Empty where no boundaries have been traced.
+        """
         if self.boundaries is None:
             return []
         codes = self.regions_of[self.boundaries.region_label].tolist()
@@ -309,11 +330,14 @@ class Layers:
         return list(zip(codes, rings, strict=True))
 
     def codes_at(self, x: Floats, y: Floats) -> LabelCodes:
-        """Regions (y, x) at ascending pixels along the axes, of a strip the same at every y."""
+        """(ny, nx) regions at the pixels of a raster: `x` (nx,) and `y` (ny,), both ascending, in the axes' units.
+
+        Regions of a strip are the same at every y.
+        """
         if len(self.view.axes) < 2:
             return np.broadcast_to(self.codes[cells_of(self.view.x, x)], (len(y), len(x)))
         cells = self.codes[np.ix_(*map(cells_of, self.view.axes, (x, y)))].T
-        # A hole is filled by what is in it, which is painted after what is around it.
+        # Only outer polygons are painted, the largest first: what lies in a hole is smaller and covers the hole.
         image = Image.fromarray(cells.astype(np.int32))
         draw = ImageDraw.Draw(image)
         for code, (ring, *_) in sorted(self.outlines, key=lambda each: -np.ptp(each[1][0], axis=0).prod()):
@@ -324,20 +348,27 @@ class Layers:
         return np.asarray(image).astype(np.int16)
 
     def subtitle(self, fixed: Sequence[ResultAxis]) -> str:
-        """The load, the values of parameters that are fixed, facts and the map's caveats."""
+        """Line under the title: the load, the values of the fixed parameters, the facts and the map's caveats."""
         values = [value_text(axis, axis.values[0]) for axis in fixed]
         return "; ".join(filter(None, [self.load, *values, *self.facts, *self.caveats]))
 
 
 def hardness(drawn: AnyMap) -> str:
-    """The quantity that tells how hard impacts are: Q is not defined for the restitution model, V is."""
+    """Name of the quantity that tells how hard the impacts of a map are: the severity Q, if any cell defines it.
+
+    The restitution model does not define Q. Then it is the approach velocity V, and in a tolerance map, which has no V,
+    the probability of double-sided impacts.
+    """
     if np.isfinite(quantity_of("severity", drawn).of_runs(drawn)).any():
         return "severity"
     return "double_sided" if isinstance(drawn, ToleranceMap) else "approach_velocity"
 
 
 def _lines_between(codes: LabelCodes, x: Floats, y: Floats) -> list[Floats]:
-    """The edges (2, 2) between cells of different regions; none where there are too many."""
+    """Edges (2, 2) between cells of different regions; none where there are more than `_MOST_STEPS`.
+
+    x, y : (nx + 1,) and (ny + 1,) edges of the cells
+    """
 
     def upright(codes: LabelCodes, x: Floats, y: Floats) -> Floats:
         i, j = np.nonzero(codes[1:] != codes[:-1])

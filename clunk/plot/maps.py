@@ -1,4 +1,4 @@
-"""The figure of a map's quantity: a plane or several side by side, a strip along one axis, or runs as points."""
+"""Figures of a quantity of a map: one plane, or several side by side, a strip along one axis, or runs as points."""
 
 import math
 from collections.abc import Sequence
@@ -55,19 +55,21 @@ from clunk.results.quantities import WHOLE, YES_NO, quantity_of
 from clunk.study.arrays import Floats
 from clunk.study.parameters import numbered
 
-_POINT = 6.5  # points, diameter of a measured point
-_POINT_LOOKS: dict[bool, tuple[str, Look]] = {  # of points that agree, and that do not
+_POINT = 6.5  # typographic points, diameter of the mark of a measured label
+_POINT_LOOKS: dict[bool, tuple[str, Look]] = {  # whether a measured label agrees -> name and look of its mark
     True: ("agrees", {"marker": "o", "markersize": _POINT, "color": INK}),
     False: ("differs", {"marker": "X", "markersize": _POINT + 1.0, "color": "#b23500"}),
 }
-# Points: of names, tried in turn, and of measured labels; of a panel of several, and of a single map.
+# Font sizes in points, for one panel of several and for a single map: those to try for the names of regions, in turn,
+# and that of measured labels.
 _SIZES = ((8.5, 7.5, 6.5), 6.5), ((10.5, 9.5, 8.5, 8.0), 8.0)
-MOST_VALUES = (12, 4)  # of one facet, of each of two
+MOST_VALUES = (12, 4)  # most values drawn of a facet: of a single one, and of each of two
 _DOUBT: Look = {"linestyle": "none", "marker": "o", "markeredgewidth": 0.0, "alpha": 0.1}
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
-_VANISHING = 0.02  # of the backlash axis, within which it has to begin at zero to show where backlash vanishes
-_NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
-_AROUND = (0.9, 1.3)  # inches, for their axes and titles
+# An axis of backlash shows where backlash vanishes if it begins at zero, or above it by this share of its end at most.
+_VANISHING = 0.02
+_NARROWEST, _HIGHEST = 2.0, 2.2  # inches, least width and greatest height of each of several panels
+_AROUND = (0.9, 1.3)  # inches, width and height for the axes and titles around several panels
 
 
 def draw(
@@ -79,17 +81,18 @@ def draw(
     x: str | None = None,
     y: str | None = None,
 ) -> Figure:
-    """The figure of a quantity, in the words of `clunk.results.quantities`.
+    """Draw a quantity of a map.
 
-    A map for two swept axes, a strip for one, points for runs of a sample or of axes that are walked together. More
-    axes are taken by `facets`, or fixed beforehand (`Results.at`).
+    Two swept axes give a map, one gives a strip, and runs of a sample or of axes that are walked together give points.
+    Further axes become `facets`, or are fixed at one value beforehand (`Results.at`).
 
+    quantity : in the words of `clunk.results.quantities`
     thresholds : see `map_figure`
-    facets : one axis or two, of which each value has its own map
-    x, y : of runs the parameters, by default a grid's axis, load ratio and backlash first; x alone asks for the
-        quantity over x
+    facets : one axis or two; each of their values, or each combination, has its own map
+    x, y : parameters to draw runs over, by default the first two of: a grid's axes, load ratio, backlash, others. One
+        alone draws the quantity over it.
 
-    Raises PlotError, and ClunkError where there is no such quantity.
+    Raises PlotError where the map cannot be drawn so, and ClunkError where there is no such quantity.
     """
     quantity = quantity_of(quantity, drawn).name
     if facets:
@@ -103,14 +106,14 @@ def draw(
 def default_quantities(
     drawn: AnyMap, *, facets: Sequence[str] = (), x: str | None = None, y: str | None = None
 ) -> list[str]:
-    """Quantities that are drawn where none is named: the regimes, and how hard the impacts are.
+    """Quantities that are drawn where the user names none, a picture each.
 
-    Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Of a
-    tolerance map how probable double-sided impacts are, too.
+    Over two axes they are the regimes and the `hardness` of the impacts, and for a tolerance map, in between, the
+    probability of double-sided impacts. Over one axis it is the hardness alone, whose picture has the labels, too.
     """
     numbers = [*["double_sided"] * isinstance(drawn, ToleranceMap), hardness(drawn)]
     known = [name for name in numbers if np.isfinite(quantity_of(name, drawn).of_runs(drawn)).any()]
-    names = ["regimes", *known]  # these alone where all cells have failed
+    names = ["regimes", *known]  # the regimes alone where all cells have failed
     return list(dict.fromkeys(names)) if facets or len(View.of(drawn, x, y).axes) > 1 else names[-1:]
 
 
@@ -123,11 +126,12 @@ def map_figure(
     columns: int = 0,
     thresholds: Sequence[float] = (),
 ) -> Figure:
-    """Maps over the same axes with the same colours: named regions (Figure 3.4), a quantity (Figure 3.7), or points.
+    """Figure of maps over the same axes in the same colours: named regions (Figure 3.4), a quantity (3.7), or points.
 
+    panels : one or more, whose quantity is the same
     names : of the panels, if there are several
-    line : under the title, by default the subtitle of the only map
-    columns : of panels, by default by their number
+    line : text under the title, by default the subtitle of the first map
+    columns : number of columns of panels; 0 for 2 of four panels, and otherwise 3 at most
     thresholds : values of the x axis at which the number of impacts for vanishing backlash changes (report §3.2),
         marked where y is the backlash from zero on
     """
@@ -163,10 +167,11 @@ def map_figure(
 
 
 def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | None, y: str | None) -> Figure:
-    """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
+    """Figure with a map of a quantity for each value of one facet, or for each pair of values of two: rows, columns.
 
-    Of many values evenly spaced ones are drawn. Raises PlotError where a facet is no axis of several
-    values, or not two axes are left for the maps.
+    Of many values, evenly spaced ones are drawn: at most 12 of one facet, and 4 of each of two.
+
+    Raises PlotError where a facet is no axis of several values, or where not two axes are left for the maps.
     """
     facets = numbered(facets, results.tables)
     changing = {axis.parameter: axis for axis in drawn_axes(results)}
@@ -178,13 +183,13 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
     values = [axis.few(MOST_VALUES[len(axes) - 1]) for axis in axes]
     places = list(product(*values))
     labels = np.unique(results.sequence[results.sequence >= 0])
-    most = 0 if labels.size > MOST_LABELS else MOST_LABELS  # all panels alike
+    most = 0 if labels.size > MOST_LABELS else MOST_LABELS  # labels are grouped in all panels or in none
     parts = [results.at(dict(zip(facets, place, strict=True))) for place in places]
     panels = [Layers.of(part, View.of_plane(part, x, y), quantity, most, results) for part in parts]
     names = []
     for place in places:
         texts = (value_text(axis, value, symbol=True) for axis, value in zip(axes, place, strict=True))
-        parted = (text.rpartition(" = ") for text in texts)  # units and words are no symbols
+        parted = (text.rpartition(" = ") for text in texts)  # only the symbol is set as TeX, not its value and unit
         names.append("\n".join(symbol_text(symbol) + plain(equals + value) for symbol, equals, value in parted))
     counts = [f"{axis.name}: {len(shown)} of {len(axis)} values" for axis, shown in zip(axes, values, strict=True)]
     line = replace(panels[0], caveats=(*counts, *results.caveats)).subtitle(fixed_parameters(results))
@@ -193,8 +198,11 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str, x: str | No
 
 @styled()
 def strip(layers: Layers) -> Figure:
-    """The labels along one swept axis, of draws the most likely ones, as a coloured strip over a quantity's curve."""
-    layers = replace(layers, undecided=layers.undecided & False)  # nothing is blurred
+    """Figure of the labels along one swept axis as a coloured strip, and below it the curve of a quantity.
+
+    Of a tolerance map, the labels are the most likely ones.
+    """
+    layers = replace(layers, undecided=layers.undecided & False)  # a strip blurs no undecided cells
     samples, (edges, _) = layers.view.x.values, layers.bands
     figure = new_figure()
     band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
@@ -205,13 +213,13 @@ def strip(layers: Layers) -> Figure:
         ax.axvline(edge, color=FAINT_INK, linewidth=0.6, linestyle=DASHED, zorder=1)
     look = {"color": LINE_COLOURS[0], "markersize": min(3.0, 300.0 / samples.size), "clip_on": False, "zorder": 3}
     jumps, kind = np.diff(layers.codes) != 0, layers.quantity.type
-    if kind == YES_NO and np.isin(layers.values[np.isfinite(layers.values)], (0.0, 1.0)).all():  # of runs, not of draws
+    if kind == YES_NO and np.isin(layers.values[np.isfinite(layers.values)], (0.0, 1.0)).all():  # of single runs
         jumps |= np.diff(layers.values) != 0.0
         ax.set_yticks([0.0, 1.0], ["no", "yes"])
     elif kind == WHOLE:
         ax.yaxis.set_major_locator(ticker.MaxNLocator(integer=True))
     for cells in np.split(np.arange(samples.size), np.flatnonzero(jumps) + 1):
-        ax.plot(samples[cells], layers.values[cells], "o-", **look)  # it jumps between regimes
+        ax.plot(samples[cells], layers.values[cells], "o-", **look)  # the quantity jumps between regimes
     scale_axis(ax, "x", layers.view.x)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylabel(layers.value_label)
@@ -225,7 +233,11 @@ def strip(layers: Layers) -> Figure:
 
 
 def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
-    """Colours of a quantity's values; the margin's diverge from zero, a probability's begin at white."""
+    """Colour scale of a quantity's values in all panels.
+
+    Colours of the margin diverge from zero, those of a probability, from 0 to 1, begin at white, and those of other
+    quantities begin at zero, or at the least value if that is negative.
+    """
     values = np.concatenate([layers.values.ravel() for layers in panels])
     low, high = min(np.nanmin(values), 0.0), np.nanmax(values)
     if panels[0].quantity.type == YES_NO:
@@ -236,7 +248,7 @@ def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
 
 
 def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
-    """(nx, ny, 3) colours of the cells, 0 to 255: of their values where these have shades, else of their regions."""
+    """(nx, ny, 3) colours of the cells, 0 to 255: of their values on the scale `shades`, without it of their regions."""
     if shades is None:
         return layers.colours_of(layers.codes) if layers.paint is None else layers.paint
     cells = shades.to_rgba(layers.values)[..., :3]
@@ -246,7 +258,10 @@ def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
 
 
 def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: float) -> None:
-    """Fill the regions, or the cells with a quantity's colours, and draw lines and marks."""
+    """Fill the regions or the cells of a map with their colours, and draw its boundaries and marks of doubt.
+
+    Runs of a sample are drawn as points instead.
+    """
     if layers.view.places:
         colours = cell_colours(layers, shades) / 255.0
         count = len(colours)
@@ -267,25 +282,28 @@ def _paint(ax: Axes, layers: Layers, shades: ScalarMappable | None, linewidth: f
     look: Look = {"colors": "white" if shades is not None and layers.has_light_lines else INK, "linewidths": linewidth}
     lines = LineCollection(layers.lines, joinstyle="round", capstyle="projecting", gid="boundaries", zorder=3, **look)
     ax.add_collection(lines, autolim=False)
-    if len(layers.doubts):  # a haze under the lines, on every undecided cell, and where tracing left it open
+    if len(layers.doubts):  # a haze under the lines, on every undecided cell and every unresolved place
         size = max(4.0, 250.0 / max(map(len, layers.view.axes)))  # pt: at least half a cell
         look = _DOUBT | {"markersize": size, "color": INK, "rasterized": len(layers.doubts) > MOST_POINTS}
         ax.plot(*layers.doubts.T, zorder=2, gid="undecided", **look)
 
 
 def _fill_regions(ax: Axes, layers: Layers) -> None:
-    """Fill the traced regions; the thin edge closes the seam between two of them."""
+    """Fill the traced regions, each with a thin edge that closes the seam between two neighbours."""
     parts: dict[int, list[Path]] = {}
     for region, rings in layers.outlines:
         parts.setdefault(region, []).extend(Path(ring, closed=True) for ring in rings)
-    for region, paths in parts.items():  # that of failed cells is -1, the last
+    for region, paths in parts.items():  # -1, the region of failed cells, picks the last name and colour
         name, colour = (*layers.names, FAILED)[region], (*layers.colours, FAILED_FILL)[region]
         look = {"color": colour, "linewidth": 0.3, "zorder": 1, "gid": f"region {name}"}
         ax.add_artist(PathPatch(Path.make_compound_path(*paths), **look))
 
 
 def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
-    """Draw the measured points with their labels, and write the regions' names; returns the notes that they need."""
+    """Draw the measured points with their labels, write the regions' names, and return the notes under the figure.
+
+    Regions whose names have no room on the map are named in the notes.
+    """
     unnamed: Sequence[str] = layers.names if layers.view.places and not layers.shaded else ()
     is_crowded = False
     if not layers.shaded and not layers.view.places:
@@ -296,7 +314,7 @@ def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
                 label = f"measured, {gid}"
                 label += f": {len(places)} of {len(layers.points)}" if is_single and agrees else ""
                 look: Look = marker | {"linestyle": "none", "markeredgecolor": "white", "clip_on": False, "zorder": 6}
-                look["in_layout"] = False  # of no points it would be at the figure's corner
+                look["in_layout"] = False  # without points, the layout would place it at the figure's corner
                 ax.plot(*np.reshape(places, (-1, 2)).T, gid=gid, label=label, **look)
         is_crowded = write_beside(raster, layers.points, size, 0.5 * _POINT + 1.5)
         unnamed = write_names(raster, layers.names, sizes)
@@ -306,7 +324,10 @@ def _write_on_map(ax: Axes, layers: Layers, *, is_single: bool) -> list[Artist]:
 
 
 def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> None:
-    """Mark where the number of impacts for vanishing backlash changes, and note these values."""
+    """Mark on the x axis where the number of impacts for vanishing backlash changes, with the values in a note.
+
+    Nothing is marked unless y is the backlash and begins near zero.
+    """
     low, high = ax.get_xlim()
     bottom, top = ax.get_ylim()
     inside = sorted(value for value in thresholds if low <= value <= high)

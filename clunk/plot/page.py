@@ -1,6 +1,6 @@
-"""A page on a results file: its maps as vector graphics, its numbers and its config, in one file of HTML.
+"""HTML page on a results file: its maps as vector graphics, its numbers and its config, in a single file.
 
-Nothing in it runs and nothing is fetched: its head forbids both, and texts of the results are escaped.
+The page runs no script and fetches nothing: the policy in its head forbids both, and texts of the results are escaped.
 """
 
 import io
@@ -51,9 +51,9 @@ _PAGE = """<!doctype html>
 def page(results: AnyMap, digests: Rows) -> str:
     """HTML of the page on a map.
 
-    digests : name and value of what tells whether it is the same
+    digests : name and value of each digest that identifies the map
 
-    Raises PlotError where more axes have several values than pictures show.
+    Raises PlotError where more axes have several values than the two of a map and two facets.
     """
     provenance = [*((name.removesuffix("_version"), value) for name, value in results.attributes.items()), *digests]
     return _PAGE.format(
@@ -66,7 +66,7 @@ def page(results: AnyMap, digests: Rows) -> str:
 
 
 def _part(part: AnyMap, lash: str) -> Iterator[str]:
-    """The pictures and numbers of one lash."""
+    """HTML of the pictures and numbers of one lash, part by part."""
     thresholds = thresholds_of(part)
     if part.lashes:
         yield f"<h2>{escape(lash)}</h2>"
@@ -83,7 +83,7 @@ def _part(part: AnyMap, lash: str) -> Iterator[str]:
 
 
 def _svg(figure: Figure, name: str) -> str:
-    """A figure as an element of HTML, without the metadata and the declarations of a file."""
+    """A figure as an SVG element for HTML, without metadata and without the XML declarations of a file."""
     stream = io.BytesIO()
     with styled():
         figure.savefig(stream, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))

@@ -1,4 +1,4 @@
-"""Axes of figures: which parameters are x and y, arrays in the order of their values, scales and numbers."""
+"""Axes of figures: which parameters are x and y, arrays in ascending order along them, scales, and texts of values."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -16,17 +16,18 @@ from clunk.study.axes import RUN, ResultAxes, ResultAxis, parameters_of
 from clunk.study.parameters import numbered
 from clunk.study.records import capital, with_unit
 
-_X = "load.ratio"  # from left to right wherever it is an axis
-USUAL = (_X, "lash.backlash_deg")  # stay axes of a map where others are fixed
+_X = "load.ratio"  # the x axis of every figure whose axes include it
+USUAL = (_X, "lash.backlash_deg")  # of more axes than two, these are drawn first; others are fixed or become facets
 
 
 class View(NamedTuple):
-    """The axes that a map is drawn over, ascending, and the order of its arrays along them, or its cells as points.
+    """View of a map: ascending axes that it is drawn over, and the order of its arrays along them, or cells as points.
 
     axes : x and, if there are two, y
     fixed : parameters with one value
-    keep, order : of a grid each axis's dimension in the map, and the order of its values
-    places : of points the value on each axis of every cell, in C order; of a grid none
+    keep : of a grid, the dimension of the map that each axis is
+    order : of a grid, the positions of each axis's values in ascending order
+    places : of points, for each axis (cells,) its values in all cells, in C order; empty for a grid
     """
 
     axes: ResultAxes
@@ -37,12 +38,12 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, drawn: Map, x: str | None = None, y: str | None = None) -> "View":
-        """The view of a grid over its axes, or of the runs of a sample or of axes that are walked together as points.
+        """View of a grid over its axes, or of the runs of a sample, or of axes that are walked together, as points.
 
-        x, y : of runs the parameters, by default a grid's axis, load ratio and backlash first; one alone leaves the
-            other to a quantity
+        x, y : parameters to draw runs over, by default the first two of: a grid's axes, load ratio, backlash, others.
+            One alone leaves the other axis to a quantity.
 
-        Raises PlotError where the map has more axes, or other parameters.
+        Raises PlotError where a grid has more than two axes, or x or y is given; and as `of_points`.
         """
         swept = parameters_of(drawn_axes(drawn))
         if not any(axis.parameter == RUN and len(axis) > 1 for axis in drawn.axes):
@@ -59,7 +60,7 @@ class View(NamedTuple):
 
     @classmethod
     def of_plane(cls, drawn: Map, x: str | None = None, y: str | None = None) -> "View":
-        """The same over two axes. Raises PlotError where the map has one."""
+        """View of a map over two axes, see `View.of`. Raises PlotError also where there is only one axis."""
         view = cls.of(drawn, x, y)
         if len(view.axes) < 2:
             raise PlotError(f"This figure needs two axes, and here is one: {view.x.parameter}.")
@@ -67,7 +68,7 @@ class View(NamedTuple):
 
     @classmethod
     def of_grid(cls, drawn: Map) -> "View":
-        """The view of a map over its one or two swept axes. Raises PlotError where it has more."""
+        """View of a map over its one or two swept axes. Raises PlotError where more axes have several values."""
         swept = drawn_axes(drawn)
         if len(swept) > 2:
             names = ", ".join(parameters_of(swept))
@@ -82,10 +83,10 @@ class View(NamedTuple):
 
     @classmethod
     def of_points(cls, drawn: Map, names: Sequence[str]) -> "View":
-        """The view of a map's cells as points over one or two of its parameters.
+        """View of a map's cells as points over one or two of its parameters.
 
-        Raises PlotError where one does not change, or cells that differ in a dimension that is not drawn would lie on
-        each other.
+        Raises PlotError where a parameter does not change, or where points would hide each other: cells that differ in
+        a dimension that is not drawn.
         """
         dimensions = parameters_of(drawn.axes)
         changing = {axis.parameter: axis for axis in (*drawn.parameters, *drawn.axes) if len(axis) > 1}
@@ -117,7 +118,7 @@ class View(NamedTuple):
         return self.axes[1]
 
     def arrange(self, array: Array) -> Array:
-        """Turn an array of the results' shape into (nx,) or (nx, ny), ascending; of points into C order."""
+        """Arrange an array of the results' shape as (nx,) or (nx, ny) along ascending axes; as (cells,) for points."""
         if self.places:
             return array.ravel()
         turned = np.moveaxis(array, self.keep, range(len(self.keep))).reshape([len(order) for order in self.order])
@@ -125,47 +126,50 @@ class View(NamedTuple):
 
 
 def parted_axes(swept: Sequence[ResultAxis]) -> tuple[list[ResultAxis], list[ResultAxis]]:
-    """The two axes that a map shows, x first, and those beyond."""
+    """Axes parted into the two that a map shows, x first, and the further ones; `USUAL` axes are shown first."""
     ranked = sorted(swept, key=lambda axis: axis.parameter not in USUAL)
     shown = [axis for axis in swept if axis in ranked[:2]]
     return sorted(shown, key=lambda axis: axis.parameter != _X), ranked[2:]
 
 
 def drawn_axes(drawn: Map) -> list[ResultAxis]:
-    """The axes with more than one value, x first; the first axis if there is none."""
+    """Axes with more than one value, the load ratio first; where none has more than one, the first axis of the map."""
     several = [axis for axis in drawn.axes if len(axis) > 1] or drawn.axes[:1]
     return sorted(several, key=lambda axis: axis.parameter != _X)
 
 
 def fixed_parameters(drawn: Map) -> ResultAxes:
-    """Parameters with one value: axes, and a single run's coordinates."""
+    """Parameters with one value that is no drawn axis's: of axes, and of the coordinates of a single run."""
     shown = parameters_of(drawn_axes(drawn))
     return tuple(axis for axis in drawn.parameters if len(axis) == 1 and axis.parameter not in shown)
 
 
 def ruler(axis: ResultAxis) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """The scale of an axis and its inverse: halfway between two values of a geometric axis is their geometric mean."""
+    """Scale function of an axis and its inverse: the logarithm for a geometric axis, the identity for others."""
     return (np.log, np.exp) if axis.is_geometric else (np.asarray, np.asarray)
 
 
 def cell_edges(axis: ResultAxis) -> Floats:
-    """(n + 1,) limits of cells centred on their values."""
+    """(n + 1,) edges of the cells around an axis's values: halfway between neighbours on the axis's scale."""
     values = axis.values
     if len(values) == 1:
         half = 0.5 * (abs(values[0]) or 1.0)
         return np.array([values[0] - half, values[0] + half])
     to, back = ruler(axis)
-    scaled = np.pad(to(values), 1, "reflect", reflect_type="odd")  # beyond both ends as far apart as at them
+    scaled = np.pad(to(values), 1, "reflect", reflect_type="odd")  # the outer cells extend as far out as in
     return back(0.5 * (scaled[1:] + scaled[:-1]))
 
 
 def cells_of(axis: ResultAxis, at: Floats) -> Positions:
-    """Positions of the cells of an ascending axis in which points lie; beyond it the first and the last."""
+    """Positions of the cells of an ascending axis in which points lie; points beyond it count to the end cells."""
     return np.clip(cell_edges(axis).searchsorted(at) - 1, 0, len(axis) - 1)
 
 
 def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAxis]) -> None:
-    """Scale x and y of panels that share them, from the first to the last value; of several they are named once."""
+    """Set scale and limits of the x and y axes that panels share; several panels have one name for each axis in all.
+
+    An axis reaches from its least to its greatest value.
+    """
     ax, is_single = panels[0], len(panels) == 1
     for which, axis in zip("xy", axes, strict=False):
         scale_axis(ax, which, axis, 10 if is_single else 5)
@@ -177,13 +181,13 @@ def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAx
 
 
 def scale_axis(ax: Axes, which: str, axis: ResultAxis, most: int = 10) -> None:
-    """Set name, unit, scale and ticks of one axis, "x" or "y"; most : ticks."""
+    """Set name, unit, scale and ticks of one axis of a panel; which : "x" or "y"; most : number of ticks."""
     ax.set(**{f"{which}label": axis_label(axis)})
     line = getattr(ax, f"{which}axis")
     if not axis.is_geometric:
         line.set_major_locator(ticker.MaxNLocator(most, steps=[1, 2, 5, 10]))
         return
-    # Plain numbers, some of them between the powers of ten: a short axis has few of those.
+    # Plain numbers at the powers of ten; on an axis of less than three decades, at 2 and 5 times these, too.
     ax.set(**{f"{which}scale": "log"})
     is_short = axis.values[-1] < 1e3 * axis.values[0]
     line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if is_short else (1.0,)))
@@ -192,7 +196,7 @@ def scale_axis(ax: Axes, which: str, axis: ResultAxis, most: int = 10) -> None:
 
 
 def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
-    """A parameter's value with its name, or shorter with its `symbol`, and its unit; or its word."""
+    """Text of a parameter's value with name and unit, or shorter with its `symbol`; of an axis of words, the word."""
     if axis.words:
         return axis.words[axis.nearest(value)]
     name = bare(axis.symbol) if symbol else axis.name
@@ -200,7 +204,7 @@ def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
 
 
 def number_text(value: float) -> str:
-    """A number as figures write it: 1.6e6 for 1.6e+06."""
+    """Text of a number in figures, to six digits: 1.6e6 rather than 1.6e+06, and a true minus sign."""
     return re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}").replace("-", MINUS)
 
 

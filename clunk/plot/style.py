@@ -1,4 +1,4 @@
-"""Style of all figures: colours, sizes, titles, notes under them, and how they are saved."""
+"""Style of all figures: colours, sizes, titles and notes, and how figures are saved."""
 
 import io
 import math
@@ -25,15 +25,15 @@ from clunk.study.records import fill
 
 Look = dict[str, Any]  # keyword arguments for matplotlib, or for Bokeh
 
-SIZE = (7.0, 5.2)  # inches
-MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
-_INDENT = 0.125  # of the width, at the left of a title until the figure is laid out
+SIZE = (7.0, 5.2)  # inches, width and height
+MOST_POINTS = 10_000  # points in a vector file; more would take seconds to show and are drawn as an image
+_INDENT = 0.125  # left of a title before the figure is laid out, as a share of the figure's width
 _DPI = 150
 INK = "#1c2126"
 FAINT_INK = "#5b646c"
 FAILED_FILL = "#a9a9a9"
 UNDEFINED = "#efefec"
-# Of lines, in this order; also the colour blind tell them apart, and their lightness differs.
+# Colours of lines, in the order in which they are used; the colour-blind tell them apart, too, and lightness differs.
 LINE_COLOURS = ("#2f7fc1", "#dd6b1f", "#1f9e83", "#7d55a8", "#b8447c", "#d9b310", "#7a6a55")
 CENTRED: Look = {"ha": "center", "va": "center"}
 DASHED = (0, (4.0, 1.6))
@@ -43,10 +43,11 @@ _NO_IMPACT = "#f6f5f1"
 # labels of Figure 3.4 and the numbers up to five stay apart under simulated protanopia, deuteranopia and tritanopia,
 # too (Machado et al. 2009; tests/test_plot.py).
 HUES = ("#8fae20", "#1154d4", "#d95f28", "#a05585", "#199ec4", "#725ed4", "#c98a2a")
-_LIGHTEST, _RANGE, _FALL = 0.172, 0.62, 2.35  # depth of a tint, and how it grows with what follows
-_GROUP_TINTS = (0.55, 0.85, 0.25)  # from 0, 7 and 14 double-sided impacts on, where the hues begin again
-_WEIGHTS = {"DS": 0.0, "SS": 1.0, "OS": 1.67, "CR": 0.0}  # of an excursion, in what follows
-_BEFORE = 0.4  # more for an excursion before the last double-sided one
+# Depth of a label's tint: _LIGHTEST + _RANGE (1 - exp(-w / _FALL)), with the weight w of the excursions in the label.
+_LIGHTEST, _RANGE, _FALL = 0.172, 0.62, 2.35
+_GROUP_TINTS = (0.55, 0.85, 0.25)  # depths from 0, 7 and 14 double-sided impacts on: there the hues begin again
+_WEIGHTS = {"DS": 0.0, "SS": 1.0, "OS": 1.67, "CR": 0.0}  # weight of one excursion, by its term in the label
+_BEFORE = 0.4  # additional weight of an excursion before the last double-sided one
 _STYLE: Look = {
     "font.size": 9.0,
     "axes.labelsize": 10.0,
@@ -93,31 +94,33 @@ def new_figure(size: tuple[float, float] = SIZE) -> Figure:
 
 
 def new_panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    """A figure with panels side by side and one below the other, over the same axes, with one line under its title.
+    """Figure with panels in rows of `columns`, all over the same axes, and one line of text under its title.
 
-    size : width and height  [inches]
+    count : number of panels
+    size : width and height of the figure  [inches]
     """
     figure = new_figure(size)
-    inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # for a line under the title, and names of the axes
+    inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # holds the line under the title and the axes' names
     panels = inner.subplots(math.ceil(count / columns), columns, sharex=True, sharey=True, squeeze=False).ravel()
     for ax in panels[count:]:
         ax.remove()
     for ax in panels[max(0, count - columns) : count]:
-        ax.xaxis.set_tick_params(labelbottom=True)  # a removed panel may have been below
+        ax.xaxis.set_tick_params(labelbottom=True)  # the panel below, with the tick labels, may have been removed
     return figure, list(panels[:count])
 
 
 def lay_out(
     figure: Figure, ax: Axes, title: str, line: str, notes: Sequence[Artist] = (), *, parse_math: bool = False
 ) -> None:
-    """Write a title over the figure and a line under it, over the axes; lay the figure out with the notes below.
+    """Write the title, and a line under it above the axes, and lay the figure out with the notes below.
 
-    What is then drawn within the axes can be fitted to them.
+    Afterwards the size of the axes is final, so that texts drawn within can be fitted to them.
 
+    ax : panel with whose left side the title is aligned
     parse_math : whether the line is TeX between its dollar signs
     """
     place = {"x": _INDENT, "ha": "left", "wrap": True}
-    # what wraps is measured as TeX, whatever its `parse_math`
+    # matplotlib measures wrapped text as TeX, even with `parse_math` off: hence `plain`
     titles = [figure.suptitle(plain(title), fontsize=11.5, fontweight="bold", **place)]
     line = line if parse_math else plain(line)
     look: Look = {"fontsize": 9.0, "color": FAINT_INK}
@@ -129,13 +132,13 @@ def lay_out(
     for text in titles:
         text.set_x(ax.get_position().x0)
     if heights != [text.get_window_extent().height for text in titles]:
-        _arrange(figure)  # further to the right, titles may need another line
+        _arrange(figure)  # a title moved to the right may wrap into another line, which takes height
 
 
 def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Put rows of notes under a figure, which grows by their height, and lay it out."""
+    """Put rows of notes under a figure, which grows by their height, and lay the figure out."""
     if handles:
-        each, character, room = 0.45, 0.075, figure.get_figwidth() - 0.4  # inches: a swatch
+        each, character, room = 0.45, 0.075, figure.get_figwidth() - 0.4  # inches: a swatch, a letter, all notes
         for handle in handles:
             lines = str(handle.get_label()).splitlines()
             handle.set_label("\n".join(fill(line, width=int((room - each) / character)) for line in lines))
@@ -149,17 +152,17 @@ def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
 
 def _arrange(figure: Figure) -> None:
     ConstrainedLayoutEngine().execute(figure)
-    figure.set_layout_engine(None)  # with any, it would be drawn twice when it is written
+    figure.set_layout_engine(None)  # with a layout engine, saving would draw the figure twice
 
 
 def swatch(text: str, colour: str, **look: Any) -> Patch:
-    """A note that begins with a colour."""
+    """Note for a legend: a swatch of the colour, and the text after it."""
     fill: Look = {"facecolor": colour, "edgecolor": INK, "linewidth": 0.6} | look
     return Patch(label=text, **fill)
 
 
 def tidy(ax: Axes, axis: Literal["x", "y"] = "y") -> None:
-    """Draw grid lines at an axis's ticks, and no spines at the top and on the right."""
+    """Draw grid lines at the ticks of one axis, and hide the top and right spines."""
     ax.grid(axis=axis, color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
@@ -171,34 +174,38 @@ def plain(text: str) -> str:
 
 
 def bare(symbol: str) -> str:
-    """Symbol without its definition: σr of σr = Td/Ts."""
+    """Symbol without its definition: ``σr`` from ``σr = Td/Ts``."""
     return symbol.split("=")[0].strip()
 
 
 def symbol_text(symbol: str) -> str:
-    """Symbol as TeX with its subscripts: σr as σ with the subscript r, Td/Ts likewise."""
+    """Symbol as TeX with subscripts: σr becomes σ with the subscript r, and Td/Ts likewise."""
     return re.sub(r"(?<!\w)([^\W\d_])([^\W\d_]\d{0,2}|\d{1,2})(?!\w)", r"\1$_\\mathregular{\2}$", plain(symbol))
 
 
 def tint(colour: str, depth: float) -> str:
-    """A colour mixed with white; depth : 1 for the colour itself."""
+    """A colour mixed with white; depth : share of the colour, 0 for white and 1 for the colour itself."""
     mixed = 255.0 - depth * (255.0 - np.frombuffer(bytes.fromhex(colour[1:]), np.uint8))
     return f"#{np.rint(mixed).astype(np.uint8).tobytes().hex()}"
 
 
 def shades(count: int) -> list[str]:
-    """Colours of ordered values, from a pale one to a deep one of one hue."""
+    """Colours of `count` ordered values, from pale to deep in one hue."""
     return [tint(LINE_COLOURS[0], 0.08 + 0.52 * k / max(count - 1, 1)) for k in range(count)]
 
 
 def group_colour(count: int) -> str:
-    """Colour of all labels with this number of double-sided impacts."""
+    """Colour of the group of all labels with this number of double-sided impacts."""
     again, hue = divmod(count, len(HUES))
     return tint(HUES[hue], _GROUP_TINTS[again % len(_GROUP_TINTS)])
 
 
 def colour_of(label: str) -> str:
-    """Colour of a label, the same in every picture: the hue tells its double-sided impacts, the shade what follows."""
+    """Colour of a label, the same in every picture.
+
+    The hue tells the number of double-sided impacts. The shade is deeper for more single-sided (SS) and opposite-sided
+    (OS) excursions.
+    """
     if label == "NI":
         return _NO_IMPACT
     terms = [(kind, int(count)) for kind, count in re.findall(r"([A-Z]+)\((\d+)\)", label)]
@@ -210,14 +217,17 @@ def colour_of(label: str) -> str:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as PNG, SVG or PDF, by the suffix; the file appears whole or not at all. Raises ClunkError."""
+    """Write a figure as PNG, SVG or PDF, by the path's suffix; the file appears whole or not at all.
+
+    Raises ClunkError where the suffix is none of these, or the file cannot be written.
+    """
     check(Path(path), PICTURES)
     with writing(path) as target:
         write_whole(target, lambda file: encode(figure, target.suffix.lower().removeprefix("."), file))
 
 
 def encode(figure: Figure, suffix: str, target: BinaryIO) -> None:
-    """Write a figure to a stream as png, svg or pdf; the same figure gives the same bytes."""
+    """Write a figure to a stream; the same figure gives the same bytes. suffix : png, svg or pdf"""
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
     with styled():
         figure.savefig(target, format=suffix, metadata=metadata)
