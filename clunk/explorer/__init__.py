@@ -1,6 +1,6 @@
-"""The explorer: a page in the browser with a regime map and the motion in the cell that is pointed at.
+"""The explorer: a page in the browser with a regime map and the motion in the cell under the pointer.
 
-`subject` is what is explored, and its maps and runs with other numbers; `newest` is the thread that computes them.
-`figures` draws map and runs with Bokeh, `controls` are the sliders; `workbench` is the page, which wires these
-together, and `server` serves it to this machine alone.
+`subject` holds the explored results, and computes maps and runs with other numbers of the config; `newest` is the
+thread that does so. `figures` draws the map and the runs with Bokeh, `controls` has the sliders; `workbench` is the
+page, which connects these, and `server` serves the page to this machine alone.
 """

@@ -17,7 +17,7 @@ from clunk.study.parameters import located, nominal_value, parameters, quantity
 from clunk.study.study import Study
 from clunk.study.tables import LARGEST_SIZE
 
-# In this order, those that the config has; a lash's stand for those of each lash.
+# Keys whose sliders come first, in this order, as far as the config has them; a key of `lash` stands for each lash's.
 _FIRST = (
     "load.ratio",
     "lash.backlash_deg",
@@ -29,12 +29,15 @@ _FIRST = (
     "driveline.shafts[1].stiffness",
     "load.static_torque",
 )
-_STEPS = 50  # of a slider at least
-_FEWEST = 5  # steps of one for whole numbers
+_STEPS = 50  # least number of steps of a slider
+_FEWEST = 5  # least number of steps of a slider for whole numbers
 
 
 def adjustable(study: Study, swept: Sequence[str]) -> Numbers:
-    """Keys of a study that a slider may change, with their values; those that are looked for first come first."""
+    """Key -> nominal value of the numbers of a study that a slider may change, the keys of `_FIRST` first.
+
+    Left out are swept keys, keys without a finite value, and keys that change nothing in the study's contact model.
+    """
     values = {key: nominal_value(study, key) for key in parameters(study) if key not in swept}
     known = {key: value for key, value in values.items() if math.isfinite(value) and not is_unused(study, key)}
 
@@ -46,7 +49,10 @@ def adjustable(study: Study, swept: Sequence[str]) -> Numbers:
 
 
 def slider_range(value: float, key: Key) -> tuple[float, float, float]:
-    """Start, end and step of a slider for a number: from nothing to twice and a half of it, within what is allowed."""
+    """Start, end and step of a slider for a number: from 0 to 2.5 times the value, within the key's bounds.
+
+    For the value 0 it is from 0 to 1. A bound that is itself excluded is missed by a step.
+    """
     low, high = sorted((0.0, 2.5 * value)) if value else (0.0, 1.0)
     low, high = max(low, key.lowest), min(high, key.highest)
     step = 10.0 ** math.floor(math.log10((high - low) / _STEPS)) if high > low else 1.0
@@ -58,9 +64,10 @@ def slider_range(value: float, key: Key) -> tuple[float, float, float]:
 class Controls:
     """A column of sliders with boxes to type into, for the axes of a map and for numbers of the config.
 
-    axes : each begins at the config's own value, or in its middle
-    on_change : called when the user has changed something
-    shown : numbers that have sliders to begin with
+    axes : each begins at the config's own value if that lies within the axis, otherwise at its middle value
+    swept : keys that differ from cell to cell, which have no slider of a number
+    on_change : called when the user has changed a value
+    shown : how many numbers have sliders at first
     """
 
     def __init__(
@@ -80,16 +87,19 @@ class Controls:
 
     @property
     def cell(self) -> Numbers:
-        """Values of the axes."""
+        """Chosen value of each axis, by parameter."""
         return {key: value for key, value in self._values.items() if key not in self._config}
 
     @property
     def numbers(self) -> Numbers:
-        """The numbers that differ from the config's."""
+        """Present values of the numbers that differ from the config's, by key."""
         return {key: value for key, value in self._values.items() if value != self._config.get(key, value)}
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Take the values of axes nearest to these, and other numbers, where they are allowed."""
+        """Set axes to their values nearest to these, and numbers to these where allowed; `on_change` is not called.
+
+        A number gets a slider if it has none. Keys that are neither an axis nor a number of the config are ignored.
+        """
         self._is_setting = True
         for key, value in values.items():
             self._add(key)
@@ -98,9 +108,9 @@ class Controls:
         self._is_setting = False
 
     def _add_axis(self, axis: ResultAxis) -> None:
-        values, own = axis.values, math.nan if axis.parameter == RUN else nominal_value(self._study, axis.parameter)
+        values, nominal = axis.values, math.nan if axis.parameter == RUN else nominal_value(self._study, axis.parameter)
         lowest, highest = axis.ends
-        first = own if lowest <= own <= highest else values[len(values) // 2]
+        first = nominal if lowest <= nominal <= highest else values[len(values) // 2]
         self._add_row(
             axis.parameter,
             title_of(axis),
@@ -112,7 +122,7 @@ class Controls:
         )
 
     def _add(self, key: str) -> None:
-        """Add a number, if it has no slider."""
+        """Add a slider for a number of the config, unless it has one, and remove it from the choice of others."""
         if key not in self._config or key in self._changes:
             return
         _, allowed, value = located(self._study, key)
@@ -136,10 +146,12 @@ class Controls:
         value_at: Callable[[float], float],
         is_allowed: Callable[[float], bool],
     ) -> None:
-        """Add a title, a slider and a box.
+        """Add a row of a title, a slider and a box to type into.
 
-        limits_for : start, end and step of the slider for a value that is typed
+        limits_for : start, end and step of the slider for a value; a typed value sets them anew
+        first : value to begin with
         place, value_at : position of the slider for a value, and value at a position
+        is_allowed : whether a value may be set; one that is not leaves the present value
         """
         title = Div(text=name, render_as_text=True, width=250, margin=(6, 4, 0, 6))
         start, end, step = limits_for(first)

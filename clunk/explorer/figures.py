@@ -1,4 +1,4 @@
-"""Figures of the page, drawn with Bokeh: the map with marks of the cells that runs are shown of, and these runs."""
+"""Figures of the page, drawn with Bokeh: the map, on which the cells of the shown runs are marked, and these runs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
@@ -36,31 +36,31 @@ from clunk.study.errors import ClunkError
 from clunk.study.records import capital, html_table, with_unit
 from clunk.study.tables import Quantity
 
-RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the run that is shown, and of those that are pinned
-_PIXELS = 640  # of an image, across and upward
-_SKIP = 4  # of the image, between the pixels among which names are placed
-_WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a name takes
-_SHADES = 256
-_CLOSEST = 1e-9  # that a figure can be zoomed in to: of an axis, or s
-_ABOVE = 0.05  # of a curve's height, left free above and below it
-_COLUMNS = 800  # spans of time that a screen tells apart
+RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the selected run, and of the pinned ones
+_PIXELS = 640  # pixels of the map's image, across and upward
+_SKIP = 4  # names are placed in a coarser raster, of every fourth pixel of the image
+_WIDTH, _HEIGHT = 2, 5  # size of a character of a name, in pixels of that coarser raster
+_SHADES = 256  # colours of a colour bar
+_CLOSEST = 1e-9  # narrowest range to which a figure zooms: a share of an axis, or s
+_ABOVE = 0.05  # margin above a curve, and below it, as a share of its height
+_COLUMNS = 800  # spans of time into which a curve is thinned, about as many as a screen tells apart
 WIDE: Look = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 _TEXT = {"text_font_size": "11px"}
 
-Cell = tuple[float, ...]  # values of the map's axes
-Changes = dict[str, Mapping[str, Any]]  # name of a model -> property -> value
+Cell = tuple[float, ...]  # a cell of the map, by its values of the map's axes
+Changes = dict[str, Mapping[str, Any]]  # name of a model -> property -> new value
 
-# The server, which asks for it, need not hear of the changes again.
+# Applies changes in the browser. The server, which sends the changes, need not hear of them again: hence sync: false.
 _CHANGE = "for (const [name, [values]] of Object.entries(cb_obj.data)) models[name].setv(values, {sync: false});"
 
 
 class Message:
-    """Changes of several models that reach the browser in one message: it draws once, not once for each.
+    """A channel on which changes of several models reach the browser in one message, so that it draws once for all.
 
-    The server's own copies of the models do not have these changes.
+    The server's own copies of the models do not get these changes.
 
-    models : by the names that changes have
-    source : what carries them; it has to be in the document
+    models : by the names that `Changes` use
+    source : data source that carries the changes; it has to be in the document
     """
 
     def __init__(self, models: Mapping[str, Model]) -> None:
@@ -68,12 +68,12 @@ class Message:
         self.source.js_on_change("data", CustomJS(args={"models": models}, code=_CHANGE))
 
     def send(self, changes: Changes) -> None:
-        """Change the models in the browser."""
+        """Change properties of the models in the browser."""
         self.source.data = {name: [properties] for name, properties in changes.items()}
 
 
 def _columns(names: str, rows: Sequence[tuple[Any, ...]]) -> Mapping[str, Any]:
-    """The data of a source with columns of these names, separated by blanks."""
+    """Properties that give a data source these rows; names : of its columns, separated by blanks."""
     return {"data": {name: [row[k] for row in rows] for k, name in enumerate(names.split())}}
 
 
@@ -82,9 +82,11 @@ def _source(names: str) -> ColumnDataSource:
 
 
 class MapFigure:
-    """A map over two axes, or a curve over one on bands of the labels' colours; one picture takes another's place.
+    """Figure of a map over two axes, or of a curve over one axis on bands in the labels' colours.
 
-    models : what a picture changes, by name
+    Each picture, of another quantity, lash or map, takes the place of the one before.
+
+    models : the Bokeh models that a picture changes, by name
     """
 
     def __init__(self, axes: Sequence[ResultAxis]) -> None:
@@ -102,7 +104,7 @@ class MapFigure:
         self.figure = plot = figure(name="map", sizing_mode="stretch_both", **look)
         plot.toolbar.logo = None
         plot.grid.visible = False
-        # of one height, or the map would be drawn anew with every text
+        # of fixed height: otherwise each new text would resize the map, which would be drawn again
         styles = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
         self.legend = Div(name="legend", height=62, styles=styles, **WIDE)
         columns = {
@@ -138,9 +140,9 @@ class MapFigure:
         plot.text("x", "y", "text", source=self._pointed, **beside, **text)
 
     def changes(self, part: AnyMap, quantity: str) -> Changes:
-        """Changes of the models to a picture of a quantity of one lash's map.
+        """Changes of the models that make the picture of a quantity; part : the map of one lash.
 
-        Raises PlotError where the quantity has no value at all.
+        Raises PlotError where the quantity has no value in any cell.
         """
         layers = Layers.of(part, View.of_grid(part), quantity)
         if len(self._axes) > 1:
@@ -170,7 +172,7 @@ class MapFigure:
             cells = np.ix_(*map(cells_of, layers.view.axes, (x, y)))
             pixels[..., :3] = np.rint(cell_colours(layers, shades)[cells].swapaxes(0, 1))
         (left, width), (low, height) = ((axis.values[0], np.ptp(axis.values)) for axis in layers.view.axes)
-        # one line with gaps: each of a hundred lines would be two buffers of the message
+        # all boundaries are one line with gaps: as separate lines, each would add two buffers to the message
         gap = np.full((1, 2), np.nan)
         line = np.concatenate([part for each in layers.lines for part in (each, gap)] or [gap])
         names = [] if layers.shaded else _names(regions, layers, x, y)
@@ -189,18 +191,21 @@ class MapFigure:
         return changes
 
     def mark(self, marks: Sequence[tuple[Cell, str]]) -> None:
-        """Mark cells with colours, the last on top."""
+        """Mark cells, each with its colour; where marks overlap, the last is on top."""
         self._marks.update(**_columns("x y colour", [(cell[0], cell[-1], colour) for cell, colour in marks]))
 
     def label(self, text: str, x: float, y: float) -> None:
-        """Write a text beside the pointer, on the side that has more room; an empty one takes it away."""
+        """Write a text beside the pointer, on the side that has more room; an empty text removes it.
+
+        x, y : of the pointer, in the axes' units
+        """
         to, _ = ruler(self._axes[0])
         is_right = to(x) > to(self._axes[0].values).mean() if text else False
         shown = (x, y, text, "right", -14) if is_right else (x, y, text, "left", 14)
         self._pointed.update(**_columns("x y text align offset", [shown] if text else []))
 
     def nearest(self, x: float, y: float = 0.0) -> Cell | None:
-        """Values of the axes in the cell at a point; None beyond the map."""
+        """The cell at a point, in the axes' units; None beyond the map."""
         try:
             return tuple(float(axis.values[axis.nearest(at)]) for axis, at in zip(self._axes, (x, y), strict=False))
         except ClunkError:
@@ -208,12 +213,12 @@ class MapFigure:
 
 
 def title_of(of: ResultAxis | Quantity) -> str:
-    """An axis or a quantity with its short symbol and its unit."""
+    """Title of an axis or a quantity: its name, short symbol and unit."""
     return with_unit(f"{of.name} {bare(of.symbol)}".rstrip(), of.unit)
 
 
 def _legend(layers: Layers) -> str:
-    """Regions that are large enough to be seen, with their colours and shares of the map, and the largest value."""
+    """HTML of a map's legend: the visible regions with colours and shares of the map, notes, and the largest value."""
     square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>&nbsp;'
     entries = []
     for note in layers.legend(layers.seen):
@@ -227,7 +232,11 @@ def _legend(layers: Layers) -> str:
 
 
 def _names(regions: LabelCodes, layers: Layers, x: Floats, y: Floats) -> list[tuple[str, float, float]]:
-    """Names in the roomiest part of their largest region, where they have room, and where that is."""
+    """Name, x and y, in the axes' units, of each visible region: the roomiest place for its name, if there is any.
+
+    regions : (y, x) regions of the image's pixels
+    x, y : centres of these pixels
+    """
     regions, x, y = regions[::_SKIP, ::_SKIP], x[::_SKIP], y[::_SKIP]
     names = []
     for name in layers.seen:
@@ -238,28 +247,32 @@ def _names(regions: LabelCodes, layers: Layers, x: Floats, y: Floats) -> list[tu
 
 
 def _pixel_centres(axis: ResultAxis, whole: ResultAxis) -> Floats:
-    """Centres of an image's pixels along an ascending axis, in its unit; `whole` is spaced as the picture's axis is."""
+    """Centres of an image's pixels along an ascending axis, in its unit.
+
+    whole : axis of the figure, whose scale, linear or logarithmic, they are evenly spaced on; a coarse axis with few
+        values may not show it
+    """
     to, back = ruler(whole)
     edges = np.linspace(to(axis.values[0]), to(axis.values[-1]), _PIXELS + 1)
     return back(0.5 * (edges[1:] + edges[:-1]))
 
 
 class Shown(NamedTuple):
-    """A run on the page, with what it takes to make it again."""
+    """A run on the page, with the values and numbers from which it can be made again."""
 
     cell: Cell
-    values: dict[str, float]  # of all axes
-    numbers: dict[str, float]
+    values: dict[str, float]  # value of every axis, by parameter
+    numbers: dict[str, float]  # other numbers than the config's, by key
     history: History
-    place: str  # values and numbers in words
+    place: str  # the values of the swept keys and the numbers, as text
 
 
 class _Panel(NamedTuple):
     name: str
     label: str
     values: Callable[[History], Floats]
-    share: float  # of the height
-    padding: float = 0.25  # of the height of the curves, above and below them together
+    share: float  # height of the panel, relative to the other panels'
+    padding: float = 0.25  # margins above and below the curves together, as a share of the curves' height
 
 
 _PANELS = (
@@ -271,14 +284,16 @@ _PANELS = (
 
 
 class RunFigures:
-    """Panels, header and event table of one run and of those that are pinned beside it.
+    """Panels, header and event table of the selected run; the curves of pinned runs are drawn in the same panels.
 
-    Curves are thinned anew for what the time axis shows.
+    Curves are thinned anew for each span of time to which the user zooms.
 
-    load_step : its time  [s]
-    models : the rest of the page's, by name
-    header, compared, events : texts above and below the figures
-    message : carries what changes, of the figures and of the rest
+    load_step : time of the load step  [s]
+    models : other models of the page that `message` can change, by name
+    header, compared : texts above the figures, on the selected run and on the pinned ones
+    events : table below the figures, of the selected run
+    figures : the panels, by name
+    message : channel for changes of these figures and texts and of `models`
     """
 
     def __init__(self, load_step: float, models: Mapping[str, Model]) -> None:
@@ -289,8 +304,8 @@ class RunFigures:
         self.events.update(sizing_mode="stretch_both", min_height=80, max_height=170)
         self._runs: Sequence[History] = []
         self._time = Range1d(0.0, 1.0, min_interval=_CLOSEST)
-        self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
-        # all curves of all panels in one source
+        self._whole = self._span = (0.0, 1.0)  # s: first and last time of all runs, and of the time axis as zoomed
+        # one source has the curves of all runs in all panels
         self._curves = _source(" ".join(["colour", *(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy")]))
         self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
         lash, acceleration = self.figures["lash"], self.figures["acceleration"]
@@ -324,7 +339,7 @@ class RunFigures:
             min_height=int(64 * panel.share),
             styles={"flex": f"{panel.share} 1 0"},
             margin=0,
-            min_border_left=80,  # of all panels, so that their time axes lie under each other
+            min_border_left=80,  # the same in all panels, so that their time axes are aligned
             min_border_right=32,
         )
         plot.update(min_border_bottom=2, min_border_top=2, outline_line_color=None)
@@ -343,9 +358,12 @@ class RunFigures:
         return plot
 
     def show(self, run: Shown, pins: Sequence[Shown], lash: int, note: str) -> None:
-        """Show the motion of one lash in a run, with a note, and in those that are pinned.
+        """Show the motion of one lash in the selected run and in the pinned ones.
 
-        The time axis stays as the user has zoomed it.
+        A time axis that the user has zoomed stays as it is; otherwise it shows the runs from begin to end.
+
+        lash : position of the lash
+        note : text for the header; may be empty
         """
         self._runs = [each.history.lashes[lash] for each in (run, *pins)]
         whole = min(each.time[0] for each in self._runs), max(each.time[-1] for each in self._runs)
@@ -370,13 +388,13 @@ class RunFigures:
         self.message.send(changes | self._drawn())
 
     def refuse(self, text: str) -> None:
-        """Show no run, and why."""
+        """Clear the figures, and write into the header why there is no run."""
         self._runs = []
         texts: Changes = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
         self.message.send(texts | self._drawn())
 
     def _see(self, span: tuple[float, float]) -> Changes:
-        """Let the time axis begin and end at these times."""
+        """Changes that make the time axis begin and end at these times  [s]."""
         self._span = span
         return {"time": {"start": span[0], "end": span[1]}}
 
@@ -385,7 +403,7 @@ class RunFigures:
         self.message.send(self._drawn())
 
     def _drawn(self) -> Changes:
-        """The curves of all runs within what is seen, and flanks, touches and each Q_i of the one that is shown."""
+        """Changes that draw all runs within the time axis, and the flanks, touches and Q_i of the selected run."""
         begin, end = self._span
         flanks = []
         touches = []
@@ -399,7 +417,7 @@ class RunFigures:
             for each in measured_impacts(run):
                 x = each.begin + 0.012 * (end - begin)
                 arrows.append((x, each.smallest, each.largest, f"Q{each.number}"))
-        touches.sort(key=lambda touch: touch[-1])  # primary ones on top
+        touches.sort(key=lambda touch: touch[-1])  # by the size of their marks: primary impacts are drawn on top
         changes = {
             "flanks": _columns(_FLANKS, flanks),
             "touches": _columns(_TOUCHES, touches),
@@ -410,7 +428,7 @@ class RunFigures:
         for panel in _PANELS:
             curves = [thinned(run.time, panel.values(run), begin, end, _COLUMNS) for run, _ in shown]
             data[f"{panel.name}_x"], data[f"{panel.name}_y"] = [x for x, _ in curves], [y for _, y in curves]
-            if shown:  # else the browser finds the range and tells the server, some 4 ms for each panel
+            if shown:  # set here: a browser that finds the range itself reports it to the server, 4 ms for each panel
                 heights = np.concatenate([y for _, y in curves])
                 if panel.name == "lash":
                     heights = np.append(heights, [y for _, y, *_ in flanks])
@@ -420,23 +438,24 @@ class RunFigures:
         return {"curves": {"data": data}, **changes}
 
 
-# Columns of sources.
+# Names of the columns of data sources.
 _FLANKS, _TOUCHES, _ARROWS = "x y text baseline", "x y angle colour fill size", "x low high text"
 
 
 def thinned(time: Floats, values: Floats, begin: float, end: float, spans: int) -> tuple[Floats, Floats]:
-    """The part of a curve between two times, with no more points than a screen tells apart.
+    """The part of a curve between two times, thinned to no more points than a screen tells apart.
 
-    Each of about as many spans of samples is drawn as its least and its greatest value, so that no peak is lost and
-    nothing moves by more than a span.
+    The samples are divided into equal spans, and each span is drawn as its least and its greatest value, both at its
+    first time, so that no peak is lost and nothing moves by more than a span.
 
     Parameters
     ----------
     time, values : (M,) float64
         Time does not decrease.
     begin, end : float
-        One point beyond each is kept, so that the line leaves the picture as it should.
+        One sample beyond each is kept, so that the line reaches the borders of the picture.
     spans : int
+        The curve has from as many to twice as many spans, or one for each sample if there are fewer samples.
 
     Returns
     -------

@@ -1,19 +1,21 @@
-"""A thread for the newest of many requests: older ones that wait are dropped, and one that runs is told to stop."""
+"""A thread that does the newest of many requests: older ones that wait are dropped, and a running one is stopped."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-GoOn = Callable[..., None]  # raises Superseded where a newer request has come; takes what progress is told
+# A function that running work calls now and then: it raises Superseded once a newer request has come. It ignores its
+# arguments, so that it can be given as a progress function.
+GoOn = Callable[..., None]
 
 
-class Superseded(Exception):  # noqa: N818  # no error: a newer request has come
-    """Raised within work that a newer request has made superfluous."""
+class Superseded(Exception):  # noqa: N818  # not an error, but a newer request
+    """Raised within work that a newer request has made superfluous, to end it."""
 
 
 class Newest:
-    """A thread that does the newest piece of work it has been handed.
+    """A thread that does the newest piece of work that has been submitted to it.
 
-    on_error : called, in the thread, with an exception that the work raised
+    on_error : called in that thread with any exception of the work other than Superseded
     """
 
     def __init__(self, name: str, on_error: Callable[[Exception], None]) -> None:
@@ -22,7 +24,10 @@ class Newest:
         self._requests = 0
 
     def submit(self, work: Callable[[GoOn], None]) -> None:
-        """Do this work, and none that was submitted before."""
+        """Queue a piece of work and supersede all earlier ones.
+
+        Earlier work that still waits is skipped; a running piece stops at its next call of its `GoOn`.
+        """
         self._requests += 1
         number = self._requests
 
@@ -42,6 +47,6 @@ class Newest:
         self._worker.submit(attempt)
 
     def close(self) -> None:
-        """Stop what runs and end the thread."""
+        """Supersede all work and end the thread, without waiting for it."""
         self._requests += 1
         self._worker.shutdown(wait=False)

@@ -1,7 +1,7 @@
-"""The server of the page: for this machine alone, at an address that only its user knows.
+"""Server of the explorer's page, for this machine alone, at an address that only its user knows.
 
-It listens on the loopback interface; every path begins with a token; a page of another origin can neither read nor
-connect; and what the browser gets forbids it to load anything from elsewhere.
+The server listens on the loopback interface, and every path begins with a secret token. A page of another origin can
+neither read its answers nor connect to it. The answers' headers forbid the browser to load anything from elsewhere.
 """
 
 import asyncio
@@ -37,7 +37,7 @@ except ModuleNotFoundError as error:
 
 HOST = "127.0.0.1"
 _HEADERS = {
-    # Bokeh's own scripts make functions of the texts of callbacks, and styles within the page
+    # Bokeh's scripts compile functions from the texts of callbacks ('unsafe-eval') and make styles in the page
     "Content-Security-Policy": "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; object-src 'none'; "
     "base-uri 'none'; form-action 'none'",
@@ -49,21 +49,22 @@ _HEADERS = {
 
 
 class _Headers(OutputTransform):
-    """Adds headers to every answer."""
+    """Transform of every answer that adds `_HEADERS` and removes the headers that open an answer to other origins."""
 
     def transform_first_chunk(
         self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, HTTPHeaders, bytes]:
         for name in [name for name in headers if name.startswith("Access-Control")]:
-            del headers[name]  # with which Bokeh would let pages of any origin read one of its scripts
+            del headers[name]  # Bokeh sets them so that pages of any origin may read one of its scripts
         headers.update(_HEADERS)
         return status_code, headers, chunk
 
 
 class Explorer:
-    """A running explorer; a notebook shows its page in a frame.
+    """A running explorer: its server in a thread; a notebook shows its page in a frame.
 
     url : address of the page, token included
+    port : of this machine, on which the server listens
 
     Examples
     --------
@@ -126,12 +127,12 @@ class Explorer:
         webbrowser.open(self.url)
 
     def wait(self) -> None:
-        """Wait until the explorer is stopped, or by Ctrl-C."""
+        """Wait until the explorer is stopped; Ctrl-C ends the wait with KeyboardInterrupt."""
         while self._thread.is_alive():
-            self._thread.join(0.5)  # a join without a limit would not let Ctrl-C through on Windows
+            self._thread.join(0.5)  # on Windows, Ctrl-C would not interrupt a join without a limit
 
     def stop(self) -> None:
-        """End the server; pages that are open say so."""
+        """End the server and its thread; open pages then say that the explorer has ended."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._is_stopped.set)
             self._thread.join()
@@ -143,20 +144,20 @@ class Explorer:
 def explore(
     results: AnyMap, *, name: str | os.PathLike[str] = "map", port: int = 0, browser: bool | None = None
 ) -> Explorer:
-    """Serve a page on which a map is pointed at, and the motion there is seen.
+    """Serve a page that shows a map, and the motion in the cell under the pointer.
 
-    The page is for this machine alone. In a notebook, the last line of a cell shows it below the cell; a script waits
-    with `Explorer.wait`, since the explorer ends with it.
+    The page is for this machine alone. In a notebook, an explorer in the last line of a cell is shown below the cell.
+    A script has to wait with `Explorer.wait`, since the explorer ends when the script does.
 
     Parameters
     ----------
     results : Results or ToleranceMap
     name : str
-        With which the names of saved files begin.
+        The names of files saved on the page begin with it.
     port : int
-        0 for any that is free.
+        Port of this machine to listen on; 0 for any that is free.
     browser : bool, optional
-        Whether to open it in the browser; by default not in a notebook.
+        Whether to open the page in the browser; by default everywhere but in a notebook.
 
     Raises
     ------

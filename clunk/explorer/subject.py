@@ -1,4 +1,4 @@
-"""Subject of the explorer: results and their study, the axes of the map, and maps and runs with other numbers."""
+"""Subject of the explorer: results, their study, the map's axes, and maps and runs with other numbers of the config."""
 
 import os
 import time
@@ -20,23 +20,25 @@ from clunk.study.sweeps import Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
-_LONGEST = 5.0  # s, of tracing the boundaries of a map
-_COARSE = 31  # values of an axis, of the map that is shown first
+_LONGEST = 5.0  # s, after which tracing the boundaries of a map is given up
+_COARSE = 31  # most values of each axis in the coarse map that is shown first
 
 Numbers = dict[str, float]  # dotted key -> value, in its unit
 
 
 class Subject:
-    """Results, the axes of the map, and what is computed with other numbers than the config's.
+    """Explored results, and the maps and runs that are computed from their config, also with other numbers.
 
-    results : of all axes and lashes
-    name : for the config that is saved
-    study : its sweep included, without tolerances
-    plane : the axes of the map, x first: two, one where no more than one changes, or none where there is one cell
+    results : over all axes and lashes
+    name : with which the file name of a saved config begins
+    study : of the results' config, with its sweep but without tolerances
+    plane : the axes of the map, x first: two; one where only one changes; none where there is one cell. The dimension
+        `run` is among them only where nothing else changes
     slices : the further axes, of which the map shows one value each
     swept : the parameters that differ from cell to cell
 
-    Raises ClunkError where no run can be made of a cell, ConfigError where the config is not allowed any more.
+    Raises ClunkError where the results have no config, from which runs could be made, and ConfigError where this
+    version does not allow their config.
     """
 
     def __init__(self, results: AnyMap, name: str | os.PathLike[str] = "map") -> None:
@@ -46,16 +48,19 @@ class Subject:
         self.title = results.title.strip() or "Impact regimes"
         self._toleranced = study_from_text(results.config, "the results' config")
         self.study = nominal(self._toleranced)
-        self._first = results.of_lash()  # whose axes are those of all lashes
+        self._first = results.of_lash()  # the map of the first lash; all lashes have the same axes
         self._axes = self._first.axes
         changing = [axis for axis in self._axes if len(axis) > 1]
-        grid = [axis for axis in changing if axis.parameter != RUN]  # runs have no order
+        grid = [axis for axis in changing if axis.parameter != RUN]  # the runs along `run` are in no order
         self.plane = tuple(parted_axes(grid or changing)[0])
         self.slices = tuple(axis for axis in changing if axis not in self.plane)
         self.swept = tuple(axis for axis in results.parameters if axis.parameter != LASH and len(axis) > 1)
 
     def values(self, cell: Numbers, but: Collection[str] = ()) -> Numbers:
-        """Values of the swept keys in a cell, but for some, from values of the axes, `run` included."""
+        """Values of the swept keys in a cell, without the keys in `but`.
+
+        cell : values of the axes, the number of a run among them; the nearest cell is taken
+        """
         place = self._first.place(self._first.nearest(cell))
         return {parameter: float(value) for parameter, value in place.items() if parameter not in but}
 
@@ -69,14 +74,18 @@ class Subject:
         return f"of {part.draws:,} draws: " + ", ".join(f"{label} {100.0 * share:.3g} %" for share, label in likely)
 
     def run(self, cell: Numbers, numbers: Numbers) -> History:
-        """The motion in a cell, with other numbers. Raises ClunkError, ConfigError."""
+        """History of the motion in a cell, with other numbers of the config.
+
+        Raises ClunkError where there is no such run, or it fails, and ConfigError where no config may have the numbers.
+        """
         trajectory = simulate(self._study_at(cell, numbers))
         return sample(trajectory, until=shown_until(trajectory))
 
     def config(self, cell: Numbers, numbers: Numbers) -> str:
-        """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell.
+        """TOML of a config of which `clunk sweep` makes the map that is shown, and `clunk simulate` the cell's run.
 
-        What a sampled design draws stays what it is drawn about: of its runs, `clunk simulate --at` gives the one.
+        Keys that a sampled design draws keep the values about which they are drawn; `clunk simulate --at run=N` makes
+        the run that is shown of those.
         """
         if not self.plane:
             return to_toml(self._study_at(cell, numbers))
@@ -87,9 +96,14 @@ class Subject:
         return to_toml(replace_values(self.study, kept | numbers).but(sweep=swept))
 
     def maps(self, slices: Numbers, numbers: Numbers, lash: str, progress: Progress) -> Iterator[AnyMap]:
-        """Yield the map with other numbers, better and better: every few values, all of them, and with its lines.
+        """Yield the map with other numbers in up to three states: coarse, in full, and in full with its boundaries.
 
-        Axes that are walked together are computed at once; lines are traced where the exact method does so quickly.
+        The coarse map has at most 31 values of each axis; it is left out where no axis has more, and for runs of a
+        sample or of axes that are walked together. Boundaries are traced over two axes by the exact method only, and
+        left out where tracing takes longer than 5 s.
+
+        slices : values of the further axes
+        progress : called with the number of runs done and in all
         """
         study = self._study_of_map(slices, numbers)
         if not self._has_runs and any(len(axis) > _COARSE for axis in self.plane):
@@ -117,7 +131,10 @@ class Subject:
         return replace_values(self.study.but(sweep=None), self.values(cell) | numbers)
 
     def _study_of_map(self, cell: Numbers, numbers: Numbers) -> Study:
-        """The study whose sweep is the map that is shown, at a cell's values of the other axes."""
+        """Study whose sweep is the map that is shown, with the further axes fixed at a cell's values.
+
+        A design with the dimension `run` keeps its whole sweep.
+        """
         shown = parameters_of(self.plane)
         fixed = self.values(cell, but=shown)
         if self._has_runs:

@@ -1,4 +1,4 @@
-"""The page: a map, what is asked for with pointer, keys and widgets, and where it is shown."""
+"""The explorer's page: map, runs and widgets, and what pointer, keys and widgets do."""
 
 import logging
 import time
@@ -27,11 +27,11 @@ from clunk.study.axes import RUN, parameters_of
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import compiling_note, warm_up
 
-_CLICKS = (Tap, DoubleTap, Press)  # quick ones, wherever they are, and slow ones are other events to Bokeh
+_CLICKS = (Tap, DoubleTap, Press)  # Bokeh reports two quick clicks anywhere as DoubleTap, and a slow one as Press
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
 _HELP = "   ·   click: keep a run · p: pin it · u: unpin · arrows: next cell · f: follow the pointer"
-_OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
+_OFTEN = 0.5  # s, least time between two messages on progress: for each the browser takes 0.1 s to lay the page out
 
 _KEEP_LINK = """
 const {name, value} = cb_obj.data;
@@ -74,7 +74,7 @@ window.addEventListener("keydown", (event) => {
 class Workbench:
     """One page in one browser, and the threads that compute what is shown on it.
 
-    link : what a link says of the state of its page: quantity, lash, values of axes and other numbers
+    link : state of the page from the query of its address: quantity, lash, values of axes and other numbers, as text
     """
 
     def __init__(self, document: Document, subject: Subject, link: Mapping[str, str]) -> None:
@@ -89,7 +89,7 @@ class Workbench:
         self._requested_map: tuple[Any, ...] | None = None
 
         results = subject.results
-        # over one axis, labels are the colours under a curve
+        # over one axis the label, the first quantity, is no choice: the colours under each curve show it
         known = [*quantities_of(results).items()][len(subject.plane) == 1 :]
         described = [(name, "regimes" if each.type == TEXT else results.plot_label(each)) for name, each in known]
         first = described[0][0] if len(subject.plane) > 1 else hardness(results)
@@ -112,7 +112,8 @@ class Workbench:
         swept = parameters_of(subject.swept)
         shown = 4 if self._map else 12
         self._controls = Controls(subject.study, [*subject.plane, *subject.slices], swept, self._on_change, shown)
-        self._listen(link)  # of what is listened to once it is in the document, Bokeh does not tell
+        # before `_furnish`: Bokeh reports no event whose listener is added after its model is in the document
+        self._listen(link)
         self._furnish()
 
     def close(self) -> None:
@@ -151,13 +152,13 @@ class Workbench:
                 self._map.figure.on_event(event, self._on_pointer)
         self._document.js_on_event(DocumentReady, CustomJS(args={"keys": self._keys}, code=_LISTEN))
         self._document.js_on_event(ConnectionLost, CustomJS(code=_ENDED))
-        # the document is the browser's by then: before, what threads ask of it would come in any order
+        # not before the browser has the document: until then, changes that threads request would arrive in any order
         self._document.on_event(DocumentReady, lambda _: self._restore(link))
 
     # --- The link ----------------------------------------------------------------------------------------------------
 
     def _restore(self, link: Mapping[str, str]) -> None:
-        """Begin with what a link says; what it says of other results is left out."""
+        """Set widgets to the state in a link, and show it; entries that do not fit these results are ignored."""
         for select in self._selects:
             if link.get(select.name) in dict(select.options):
                 select.value = link[select.name]
@@ -169,7 +170,7 @@ class Workbench:
         self._on_change()
 
     def _keep_link(self) -> None:
-        """Let the address of the page hold what it shows."""
+        """Write the state of the page into its address, so that the address links to what is shown."""
         chosen = {select.name: select.value for select in self._selects if select.visible}
         numbers = self._controls.cell | self._controls.numbers
         state = chosen | {key: repr(float(value)).removesuffix(".0") for key, value in numbers.items()}
@@ -178,7 +179,7 @@ class Workbench:
     # --- What the user does ------------------------------------------------------------------------------------------
 
     def _on_pointer(self, event: PointEvent) -> None:
-        """Follow the pointer over the map, or keep the cell that is clicked."""
+        """Show the run and the label of the cell under the pointer, or select the cell that is clicked."""
         assert self._map is not None
         cell = None if isinstance(event, MouseLeave) else self._map.nearest(event.x, event.y)
         if isinstance(event, _CLICKS):
@@ -189,7 +190,7 @@ class Workbench:
             self._map.label(self._label_of(cell) if cell else "", event.x, event.y)
 
     def _label_of(self, cell: Cell) -> str:
-        """The label of a cell in the map that is shown."""
+        """The label of a cell in the map that is shown; empty before there is one."""
         if self._results is None:
             return ""
         part = self._results.of_lash(self._lash.value)
@@ -234,7 +235,7 @@ class Workbench:
         self._show_runs()
 
     def _save(self) -> None:
-        """Hand the browser the config of what is shown as a download."""
+        """Let the browser download the config of the map and the run that are shown."""
         name = f"{PurePath(self._subject.name).stem or 'map'}-config.toml"
         if self._run is not None:
             self._download.data = {"name": [name], "text": [self._subject.config(self._run.values, self._run.numbers)]}
@@ -248,11 +249,11 @@ class Workbench:
 
     @property
     def _cell(self) -> Cell:
-        """Values of the map's axes in the cell that was chosen last."""
+        """The cell that is selected: by a click, by keys or by sliders."""
         return tuple(self._controls.cell[axis.parameter] for axis in self._subject.plane)
 
     def _values(self, cell: Cell) -> Numbers:
-        """Values of all axes."""
+        """Value of every axis, by parameter: the cell's of the map's axes, the sliders' of the others."""
         plane = parameters_of(self._subject.plane)
         return self._controls.cell | dict(zip(plane, cell, strict=True))
 
@@ -275,7 +276,7 @@ class Workbench:
         self._newest_run.submit(work)
 
     def _take_run(self, shown: Shown | None, refusal: str = "") -> None:
-        """Show a run that has been computed, or why there is none."""
+        """Show a run that has been computed, or the refusal that says why there is none."""
         self._run = shown
         if shown is None:
             self._figures.refuse(refusal)
@@ -284,11 +285,11 @@ class Workbench:
 
     def _show_runs(self) -> None:
         if self._run is not None:
-            # other numbers are those of no map
+            # the probabilities of a tolerance map hold for the config's own numbers only
             note = "" if self._run.numbers else self._subject.likelihood(self._run.values, self._lash.value)
             lash = self._subject.results.lash_names.index(self._lash.value)
             self._figures.show(self._run, self._pins, lash, note)
-        if self._map:  # after the run: before it, the browser would draw the map, and take the run that much later
+        if self._map:  # after the run: otherwise the browser would draw the map first, and show the run later
             pinned = zip((pin.cell for pin in self._pins), RUN_COLOURS[1:], strict=False)
             self._map.mark([*pinned, (self._cell, RUN_COLOURS[0])])
 
@@ -304,7 +305,7 @@ class Workbench:
         self._requested_map = slices, numbers, quantity, lash
         nominal = isinstance(subject.results, ToleranceMap)
         if numbers and nominal and quantity.startswith("severity_"):
-            quantity = LABEL  # of the nominal map: other numbers leave tolerances aside
+            quantity = LABEL  # with other numbers the map is nominal, and has no quantiles of the severity
         if not subject.plane:
             self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
             return
@@ -329,7 +330,7 @@ class Workbench:
                 show(subject.results.at(slices) if slices else subject.results, "the map with the config's own numbers")
                 if note := compiling_note(subject.study):
                     self._say_soon(note)
-                warm_up(subject.study)  # so that the first map with other numbers does not wait for it
+                warm_up(subject.study)  # so that the first map with other numbers does not wait for compilation
                 return
             status = f"the {'nominal ' if nominal else ''}map with these numbers, which is in no file"
             if self._latest is not None and self._latest[0] == (slices, numbers):
@@ -338,7 +339,7 @@ class Workbench:
             for results in subject.maps(slices, numbers, lash, progress):
                 go_on()
                 show(results, status)
-            self._say_soon(status)  # of lines that are not there too
+            self._say_soon(status)  # takes the place of the progress of a tracing that was given up
             self._latest = (slices, numbers), results
 
         self._newest_map.submit(work)
@@ -347,21 +348,21 @@ class Workbench:
         self._results = results
         self._message.send(changes)
 
-    # --- Words -------------------------------------------------------------------------------------------------------
+    # --- Messages ----------------------------------------------------------------------------------------------------
 
     def _soon(self, change: Callable[[], None]) -> None:
-        """Change the page in the thread of its events."""
+        """Schedule a change of the page in the thread of its document, from any thread."""
         self._document.add_next_tick_callback(change)
 
     def _say(self, text: str) -> None:
-        """Write a text below the page."""
+        """Write a text into the status line at the bottom of the page, followed by help on keys if there is a map."""
         self._message.send({"status": {"text": f"{text}{_HELP * bool(self._map)}"}})
 
     def _say_soon(self, text: str) -> None:
         self._soon(partial(self._say, text))
 
     def _complain_soon(self, error: Exception) -> None:
-        """Say what went wrong in a thread."""
+        """Write an error of a computing thread into the status line, and log it unless it is a ClunkError."""
         if isinstance(error, ClunkError):
             self._say_soon(str(error))
         else:
@@ -370,10 +371,10 @@ class Workbench:
 
 
 def _box(direction: str, *elements: UIElement, **styles: str) -> Pane:
-    """Elements in a row or a column, by CSS; styles : properties, with underscores.
+    """Pane that lays its elements out in a row or a column by CSS; styles : CSS properties, with underscores.
 
-    Bokeh lays each out by itself. In its own rows and columns a change of one text lays the whole page out again, and
-    draws each figure, which takes 0.1 s.
+    In Bokeh's own Row and Column, a change of one text lays the whole page out again and draws each figure, which takes
+    0.1 s. In such a pane Bokeh lays out each element by itself.
     """
     names = {name.replace("_", "-"): value for name, value in styles.items()}
     return Pane(elements=list(elements), styles={"display": "flex", "flex-direction": direction, **names})

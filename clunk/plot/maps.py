@@ -248,7 +248,7 @@ def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
 
 
 def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
-    """(nx, ny, 3) colours of the cells, 0 to 255: of their values on the scale `shades`, without it of their regions."""
+    """(nx, ny, 3) colours of the cells, 0 to 255: of their values on the scale `shades`, or else of their regions."""
     if shades is None:
         return layers.colours_of(layers.codes) if layers.paint is None else layers.paint
     cells = shades.to_rgba(layers.values)[..., :3]
