@@ -1,7 +1,7 @@
 """The command line: parse, call the library, print. Data goes to stdout, everything else to stderr.
 
-A command's module is imported when it is asked for; what it needs of the library is imported inside it,
-so that `--help` and `--version` wait for neither numba nor matplotlib.
+The module of a command is imported when the command is named, and the parts of the library that it needs are imported
+inside the command, so that `--help` and `--version` wait for neither numba nor matplotlib.
 """
 
 import atexit
@@ -25,12 +25,12 @@ _COMMANDS = (
     *("compare", "fit", "verify", "sensitivity", "thresholds", "optimize", "reproduce"),
 )
 
-# Modules of commands that share one; others have their own, of the same name.
+# Command -> module, of commands that share a module; every other command has a module of its name.
 _MODULES = {"verify": "compare", **dict.fromkeys(("fit", "optimize", "sensitivity", "thresholds"), "analyses")}
 
 
 class _Commands(click.Group):
-    """Commands of the modules that have their names."""
+    """Group whose commands are imported from their modules when they are named."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of all commands, sorted."""
@@ -45,21 +45,22 @@ class _Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command that a line names; UsageError with the nearest one where there is none."""
+        """The command that a command line names; where there is none, a UsageError proposes the nearest one."""
         if args and args[0] not in _COMMANDS and (likely := nearest(args[0], _COMMANDS)):
             ctx.fail(f"No such command {args[0]!r}; did you mean {likely}?")
         return super().resolve_command(ctx, args)
 
 
 def main() -> NoReturn:
-    """Entry point: runs the command and turns what a user can cause into one message and an exit code."""
-    # Modules are many objects that stay: to look through them again and again, and at the end, takes 0.2 s.
+    """Entry point: run the command, and turn every error that a user can cause into one message and an exit code."""
+    # The imported modules are many objects that are never freed: garbage collections that look through them, while
+    # more are imported and at exit, take 0.2 s.
     gc.set_threshold(100_000)
     atexit.register(gc.freeze)
     signal.signal(signal.SIGTERM, _terminate)
     warnings.simplefilter("default", ClunkWarning)
     warnings.showwarning = _warn
-    sys.stdout, sys.stderr = sys.stdout or io.StringIO(), sys.stderr or io.StringIO()  # one that is closed is None
+    sys.stdout, sys.stderr = sys.stdout or io.StringIO(), sys.stderr or io.StringIO()  # a closed stream is None
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without σ shows a ? instead of a traceback
@@ -81,7 +82,7 @@ def main() -> NoReturn:
     except ClunkError as error:
         terminal.complain(str(error))
         _tell_notes(error)
-    except OSError as error:  # of a name that is too long for a file, for example
+    except OSError as error:  # for example where a file's name is too long
         terminal.complain(f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.")
     else:
         sys.exit(0)
@@ -89,13 +90,13 @@ def main() -> NoReturn:
 
 
 def _tell_notes(stopped: BaseException) -> None:
-    """Print what is kept of a run that was stopped."""
+    """Print the notes of the exception that stopped a command, which say what is kept of its work."""
     for note in getattr(stopped, "__notes__", ()):
         terminal.complain(f"stopped: {note}")
 
 
 def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-    """Print a warning: clunk's own in its words, others with where they come from."""
+    """Print a warning: of clunk's own the message alone, of others also the place in the code that raised it."""
     if issubclass(category, ClunkWarning):
         terminal.complain(f"warning: {message}")
     else:
@@ -103,11 +104,11 @@ def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: 
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM, which stops a command as Ctrl-C does."""
+    """Raised on SIGTERM, which stops a command as Ctrl-C does."""
 
 
 def _terminate(_signal: int, _frame: object) -> NoReturn:
-    raise _Terminated  # without a word, as it may come in the midst of another one
+    raise _Terminated  # prints nothing here: the signal may come in the middle of another message
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80})

@@ -53,9 +53,9 @@ def fit(
 ) -> None:
     """Fit parameters of a driveline to measured labels.
 
-    The parameters are the [[fit.parameters]] of CONFIG, the MEASUREMENTS a CSV file as clunk compare reads it, or
-    table_4_1. Prints how many labels are met, each parameter's estimate and interval, what the data leave undetermined,
-    and how many labels are predicted from the other measurements.
+    The parameters are the [[fit.parameters]] of CONFIG. MEASUREMENTS is a CSV file of measured labels, as for clunk
+    compare, or table_4_1, the report's experiment. Prints how many labels are met, each parameter's estimate and
+    interval, what the data leave undetermined, and how many labels are predicted from the other measurements.
 
     \b
     Example:
@@ -100,8 +100,8 @@ def optimize(
 ) -> None:
     """Find the values of keys that make a quantity least.
 
-    What is minimised, what must hold and which keys are free stands in [optimize] of CONFIG. With --front each point of
-    the trade-off is a config, FILE-1.toml and so on.
+    The table [optimize] of CONFIG says what is minimised, which conditions must hold, and which keys are free. With
+    --front, each point of the trade-off is written as a config: -o FILE.toml gives FILE-1.toml and so on.
 
     \b
     Examples:
@@ -122,7 +122,7 @@ def optimize(
     files.check(picture, files.PICTURES, reads=config)
     terminal.warn(study)
     options["progress"] = True
-    # before the search, as the config may not run as it is
+    # run before the search, so that a config that cannot be run as it is fails at once
     drawn = [sample(simulate(study), name="as it is")] if picture and not traded else []
     interrupt = None
     try:
@@ -178,8 +178,9 @@ def sensitivity(
 ) -> None:
     """Tell from which tolerances the spread of an outcome comes.
 
-    Takes the tolerances of CONFIG at one operating point. Prints first-order and total Sobol indices, from n (d + 2)
-    runs for d tolerances; n is sweep.sampling.count, a power of two.
+    Takes the tolerances of CONFIG at one operating point. Prints first-order and total Sobol indices, that is each
+    parameter's share of the variance, alone and with its interactions. They take n (d + 2) runs for d tolerances, where
+    n is sweep.sampling.count, a power of two.
 
     \b
     Examples:
@@ -204,7 +205,7 @@ def sensitivity(
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, ...] | None:
-    """Numbers separated by commas."""
+    """Parse numbers separated by commas; None where the option is not given."""
     try:
         return None if text is None else tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -251,9 +252,9 @@ def thresholds(
 ) -> None:
     """Locate the values of a key at which an outcome changes.
 
-    Finds all of them, to 1e-9 of the key's axis, for every cell of CONFIG's other axes or where --at says, with the
-    outcomes below and above each. With [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the
-    drawn drivelines.
+    Finds all of these thresholds, to 1e-9 of the key's axis, with the outcomes below and above each: in every cell of
+    CONFIG's other axes, or only at the values that --at gives. With [[sweep.tolerances]], finds where the outcome is
+    the same in 50 % and in 95 % of the drawn drivelines.
 
     \b
     Examples:
@@ -324,7 +325,7 @@ def print_thresholds(result: Thresholds) -> None:
     rows, offs = result.rows(), iter(result.off.tolist())
     for row in rows:
         value, text = row[along.parameter], "-"
-        if value is not None:  # with the digits that are known
+        if value is not None:  # to as many digits as the threshold is located, at most ten
             share = max(next(offs) / abs(value or math.inf), 1e-9)
             text = f"{value:.{max(1 - math.floor(math.log10(share)), 1)}g}"
         row[along.parameter] = text

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
     """Compare a results file with another, or with measurements.
 
-    Cell by cell, of several lashes each of them: A is a results file, B one of the same grid, a CSV file of measured
-    labels, or table_4_1, the report's experiment. Measurements are those of the first lash.
+    A is a results file. B is a results file of the same grid, a CSV file of measured labels, or table_4_1, the report's
+    experiment. Maps are compared cell by cell, and each lash of a cell counts as a cell. Measurements are compared with
+    the first lash.
 
     \b
     Examples:
@@ -73,10 +74,10 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
 def verify(study: Study, workers: int | None, as_json: bool, **_: Any) -> None:
     """Run a config by both methods and compare the results.
 
-    The methods are rk4 (A) and exact (B), and what is printed is what clunk compare prints of their maps, in which each
-    lash of a cell counts as one. Exact is guarded: it cannot skip an event, to rounding, for this model. Where labels
-    differ in a cell that it does not flag (undecided or grazing), the exit code is 4, and a smaller solver.step may
-    mend it. A config without axes is a map of one cell.
+    Prints the comparison of the maps by rk4 (A) and exact (B) as clunk compare does; each lash of a cell counts as a
+    cell. The exact method is guarded: it cannot skip an event, to rounding, for this model. Where labels differ in a
+    cell that it does not flag as undecided or grazing, the exit code is 4, and a smaller solver.step may bring them to
+    agree. A config without axes is a map of one cell.
 
     \b
     Examples:

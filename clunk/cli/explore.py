@@ -1,4 +1,4 @@
-"""`clunk explore`: a page in the browser with a map and the motion in the cell that is pointed at."""
+"""`clunk explore`: a page in the browser with a map and the motion in the cell under the pointer."""
 
 from pathlib import Path
 
@@ -16,7 +16,8 @@ from clunk.cli.options import flag_option, path_argument, set_option
 def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: int | None) -> None:
     """Open a page in the browser: point at a map, see the motion.
 
-    SOURCE is a results file, or a config, whose map is run first. The page is for this machine alone; Ctrl-C ends it.
+    SOURCE is a results file, or a config, whose map is then run first. The page can be opened on this machine only;
+    Ctrl-C ends it.
 
     \b
     Examples:

@@ -14,9 +14,9 @@ from clunk.cli.options import file_argument, path_argument
 def export(file: Path, output: Path) -> None:
     """Write a map, or its boundaries, for other programs.
 
-    FILE is a results file. OUTPUT.csv has a row for each cell, codes as words and units in the header. OUTPUT.geojson
-    has the regions as polygons and the boundaries between them as lines, if `clunk sweep` has traced them. MATLAB reads
-    FILE itself, by ncread.
+    FILE is a results file, and the suffix of OUTPUT chooses the format. OUTPUT.csv has a row for each cell, codes as
+    words, and units in the header. OUTPUT.geojson has the regions as polygons and the boundaries between them as lines,
+    if `clunk sweep` has traced them. MATLAB reads FILE itself, by ncread.
 
     \b
     Examples:

@@ -7,7 +7,8 @@ import click
 from clunk.cli.options import flag_option, path_argument
 from clunk.study.errors import ClunkError
 
-# The title and the files that make each; a preset has no title, and a title stands before tables.
+# Starter -> title line, and the preset files that follow it. A preset that other configs use, too, has no title of its
+# own, and in TOML a title has to stand before the tables.
 _STARTERS = {
     "rig": ("", "starter.toml"),
     "car": ('title = "A compact car lifts its foot"  # one line of text\n\n', "car.toml", "car-sweep.toml"),
@@ -22,8 +23,8 @@ _STARTERS = {
 def init(path: Path | None, origin: str, force: bool, schema: bool) -> None:
     """Write a commented starter config.
 
-    PATH is the file, - prints it. The rig [clunk.toml] has every key there is; the car [car.toml] is a driveline that
-    rolls, with gears, from engine to body.
+    PATH is the file to write; - prints the config instead. The starter rig [clunk.toml] has every key there is; the car
+    [car.toml] is a driveline with gears, from engine to body, that rolls.
 
     Example: clunk init study.toml
 

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 def modes(study: Study, as_json: bool, **_: Any) -> None:
     """Print natural frequencies and damping ratios.
 
-    Also the thresholds of a vanishing backlash, and the share of each inertia in the kinetic energy of each mode; the
-    lowest mode of the closed lash is the shuffle. Of several lashes, all are closed or open, and there are no
-    thresholds, nor of shafts with stages.
+    Also prints, for each mode, the two inertias with most of its kinetic energy (--json: the share of each inertia),
+    and the thresholds: load ratios at which one more impact appears as the backlash vanishes. The lowest mode of the
+    closed lash is the shuffle. Several lashes are all closed or all open. There are no thresholds for several lashes or
+    for shafts with stages.
 
     Example: clunk modes configs/nominal.toml
     """

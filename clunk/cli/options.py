@@ -1,4 +1,4 @@
-"""Options that several commands share, the cells that --at names, and the exit codes."""
+"""Arguments and options that several commands share, the cell that --at names, and exit codes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ set_option = repeated_option(
 
 
 def study_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the argument CONFIG, or a results file, and the option --set, as the study that they make."""
+    """Decorate a command with the argument CONFIG, a config or a results file, and the option --set.
+
+    The command is called with `config`, the path, and `study`, the study that both make.
+    """
 
     @path_argument("config")
     @set_option
@@ -66,7 +69,7 @@ workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="T
 
 
 def study_of(source: Path, overrides: Sequence[str]) -> Study:
-    """The study of a config, or of a results file."""
+    """The study of a config, or of the config in a results file, with KEY=VALUE overrides."""
     from clunk.study.config import load_study, study_from_text
 
     if source.suffix != ".h5":
@@ -77,9 +80,13 @@ def study_of(source: Path, overrides: Sequence[str]) -> Study:
 
 
 def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool, but: Collection[str] = ()) -> dict[str, float]:
-    """Values of swept keys that --at names; a `run` stands for the values of its coordinates.
+    """Values of the swept keys that --at names, by key; a `run` that it names stands for the values of its coordinates.
 
-    Where not all are needed, a key that is not named keeps the config's own value. Some keys get theirs elsewhere.
+    all_needed : whether --at has to name every swept key; otherwise a key that it does not name keeps the config's own
+        value, and a note says so
+    but : swept keys that need not be named, since they get their values elsewhere
+
+    Raises UsageError where a swept key has to be named and is not, or as `nearest_values`.
     """
     from clunk.study.axes import RUN
     from clunk.study.designs import design_of
@@ -101,7 +108,12 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool, but: Col
 
 
 def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: Any) -> dict[str, float]:
-    """Values of axes that --at names, each the nearest one of its axis; document : config that has the axes."""
+    """Values that --at gives to axes, by parameter, each the nearest value of its axis; a note tells a rounded one.
+
+    document : config that has the axes
+
+    Raises UsageError where --at names no axis, one twice, or a value that is none or lies beyond the axis.
+    """
     import numpy as np
 
     from clunk.study.document import assigned

@@ -8,8 +8,8 @@ import click
 
 from clunk.cli.options import at_option, file_argument, nearest_values, output_option, repeated_option
 
-_NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
-_LONGEST = 40  # signs of a lash's name that are in a file's
+_NO_FILE = r"[^\w.-]+"  # characters that a file name should not have
+_LONGEST = 40  # most characters of a lash's name in a file name
 
 
 @click.command()
@@ -46,12 +46,12 @@ def plot(
 ) -> None:
     """Draw the maps of a results file.
 
-    They are its regimes and their severity. Of several lashes each has its own pictures, FILE-NAME-regimes.png and so
-    on.
+    The pictures are of the regimes and of the severity; of a tolerance map they show the most likely regimes, paler
+    where these are uncertain, the probability of double-sided impacts, and the mean severity. Each of several lashes
+    has its own pictures, FILE-NAME-regimes.png and so on.
 
-    A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
-    tolerance map: the most likely regimes, where they are uncertain, and how probable double-sided impacts are.
-    Of more than 16 labels a map shows the numbers of double-sided impacts; info and the explorer have the labels.
+    A map has two axes. Of more axes, --at takes a slice, and --facet draws a map for each value. With more than 16
+    labels, a map shows the numbers of double-sided impacts instead; clunk info and clunk explore show the labels.
 
     \b
     Examples:

@@ -15,8 +15,9 @@ from clunk.cli.options import at_option, file_argument, nearest_values, output_o
 def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     """Write a page of HTML on a results file.
 
-    It has the maps, numbers, config, versions and digests of FILE. It is one file, which asks for no other. Of three
-    or four axes it has a map for each value of the further ones, or a slice by --at.
+    The page has the maps, numbers, config, versions and digests of FILE. It is a single file that loads no other. With
+    three or four axes it has a map for each value of the further ones, or for evenly spaced ones if these are many; or
+    --at takes a slice.
 
     Example: clunk report results/figure_3_4.h5 -o report.html
     """

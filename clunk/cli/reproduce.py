@@ -1,4 +1,4 @@
-"""`clunk reproduce`: the report of 2008 recomputed."""
+"""`clunk reproduce`: recompute the report of 2008."""
 
 import sys
 from pathlib import Path
@@ -14,7 +14,7 @@ from clunk.cli.options import EXIT_MISMATCH, json_option, output_option, path_op
 @workers_option
 @click.option(
     "--coarsen",
-    type=click.Choice(["1", "2", "5", "10"]),  # by which each load ratio and backlash that the report names stays
+    type=click.Choice(["1", "2", "5", "10"]),  # each keeps every load ratio and backlash that the report names
     default="1",
     help="Only each n-th value of the maps' axes [1].",
 )
@@ -23,9 +23,9 @@ from clunk.cli.options import EXIT_MISMATCH, json_option, output_option, path_op
 def reproduce(output: Path, workers: int | None, coarsen: str, table: Path | None, as_json: bool) -> None:
     """Recompute the report that clunk is built on.
 
-    Every number and claim stands beside ours, every figure is redrawn. Exits with 4 where a claim that is known to
-    agree no longer does. The file of --table has the comments <!-- claims: errors --> and <!-- claims: agrees -->, each
-    with an <!-- end --> after it; the tables go between.
+    Prints every number and claim of the report beside clunk's own, and draws every figure again. Exits with 4 if a
+    claim that is known to agree no longer does. The file of --table has to have the comments <!-- claims: errors -->
+    and <!-- claims: agrees -->, each with an <!-- end --> after it; the tables are written between them.
 
     \b
     Examples:
@@ -39,7 +39,7 @@ def reproduce(output: Path, workers: int | None, coarsen: str, table: Path | Non
 
     files.check(output / "figure_3_1.png", files.PICTURES)
     if table is not None:
-        reproduction.with_tables(table, ())  # whether there is a place for them
+        reproduction.with_tables(table, ())  # raises before the runs where the file has no place for the tables
     evidence = Evidence(run_maps(int(coarsen), workers, progress=True))
     claims = claims_of(evidence)
     if as_json:

@@ -61,8 +61,8 @@ def simulate(
 ) -> None:
     """Run one load step and print its events.
 
-    Prints its label and energy balance, too, and draws or saves it. SOURCE is a config, or a results file of which --at
-    names the cell.
+    Also prints the label and the energy balance of the run; -o draws it, or saves its history as data. SOURCE is a
+    config, or a results file, of which --at names the cell.
 
     \b
     Examples:
@@ -104,7 +104,7 @@ def simulate(
 def _studies_to_simulate(
     source: Path, overrides: tuple[str, ...], at: tuple[str, ...], overlay: tuple[str, ...]
 ) -> list[tuple[str, Study]]:
-    """Names and studies of the runs to make: one, or one for each combination of overlaid values."""
+    """Name and study of each run to make: a single one, or one for each combination of the overlaid values."""
     from itertools import product
 
     from clunk.study.config import study_from_text
@@ -137,7 +137,7 @@ def _studies_to_simulate(
 
 
 def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str) -> None:
-    """Save or draw runs."""
+    """Save a run as data (.csv), or draw the runs as the named figure."""
     from clunk.results.export import save_history
     from clunk.simulation import history as histories
 
@@ -159,7 +159,7 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str) ->
 
 
 def run_record(trajectory: Trajectory) -> dict[str, Any]:
-    """A run and its energies in J; of several lashes `lashes` has what is of each, by name."""
+    """JSON record of a run, with its energies in J; with several lashes, what each lash has is in `lashes`, by name."""
     from clunk.simulation.energy import balance
 
     primaries = {k for each in trajectory.lashes for k in each.primaries.tolist()}
@@ -195,7 +195,10 @@ def run_record(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def _measures(study: Study) -> dict[str, dict[str, Any]]:
-    """Measures of a run, and of its impacts, by lash, that the config asks for besides Q and V; empty without any."""
+    """Measures besides Q and V that the config asks for: lash -> name -> value for the run, or values for its impacts.
+
+    For each lash it is empty where the config asks for none.
+    """
     from clunk.results.quantities import REGIME_QUANTITIES
     from clunk.sweeping.runner import Runner
 

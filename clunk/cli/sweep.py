@@ -47,7 +47,8 @@ def sweep(
 ) -> None:
     """Run the grid of a config and write a results file.
 
-    CONFIG is a TOML file with [[sweep.axes]]. Stopped by whatever, the same command goes on where it was.
+    CONFIG is a TOML file with [[sweep.axes]]. If a sweep is stopped, for whatever reason, the same command goes on
+    where it stopped.
 
     \b
     Examples:
@@ -86,7 +87,7 @@ def sweep(
 
 
 def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None, as_json: bool) -> None:
-    """Print a finished map, add its boundaries, and say how many there are."""
+    """Print a finished map, add its boundaries, and print how many there are."""
     from dataclasses import replace
 
     from clunk.analysis.boundaries import with_boundaries
@@ -94,7 +95,7 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
 
     began = time.perf_counter()
 
-    def addition(result: AnyMap) -> AnyMap:  # the map is kept also where nothing can be printed
+    def addition(result: AnyMap) -> AnyMap:  # prints within `finish`, which keeps the map even if printing fails
         _report(replace(result, boundaries=None) if isinstance(result, Results) else result, job, as_json)
         return with_boundaries(study, result, lash=lash, workers=workers, progress=True)
 
@@ -107,7 +108,7 @@ def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: in
 
 
 def _report(result: AnyMap, job: Job, as_json: bool) -> None:
-    """Print a finished map."""
+    """Print the outcomes of a finished map, and on stderr the number of cells, time, failures and caveats."""
     from clunk.results.maps import ToleranceMap
 
     draws = result.draws if isinstance(result, ToleranceMap) else 0

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from clunk.results.maps import AnyMap
 
-_MOST_LABELS = 24  # a screen
+_MOST_LABELS = 24  # rows of a table of labels, about as many as a screen has
 
 
 def print_record(record: object) -> None:
@@ -31,24 +31,24 @@ def tell(record: Record, as_json: bool) -> None:
 
 
 def print_table(rows: Sequence[Row]) -> None:
-    """Print all rows as columns, see `clunk.study.records.table`."""
+    """Print all rows as a table with aligned columns, see `clunk.study.records.table`."""
     click.echo("\n".join(table(rows, most=len(rows))))
 
 
 def print_values(rows: Iterable[tuple[str, str]]) -> None:
-    """Print names and texts, a line each, see `clunk.study.records.value_lines`."""
+    """Print pairs of a name and a text, one on each line, see `clunk.study.records.value_lines`."""
     click.echo("\n".join(value_lines(rows)))
 
 
 def of_lashes(values: dict[str, Any]) -> dict[str, Any]:
-    """Records by lash for JSON; that of an only lash alone."""
+    """Record for JSON of values by lash: under `lashes` if there are several, or the only lash's value itself."""
     return {"lashes": values} if len(values) > 1 else next(iter(values.values()))
 
 
 def print_outcomes(results: AnyMap) -> None:
-    """Print how many cells each label has, or how likely it is, and other facts; lash by lash.
+    """Print, lash by lash, how many cells each label has, or how likely it is, and other facts.
 
-    Of many labels these are the ones that most cells have.
+    Of more than 24 labels, only those with the most cells are printed.
     """
     for k, (name, part) in enumerate(results.by_lash().items()):
         if results.lashes:
@@ -64,7 +64,10 @@ def print_outcomes(results: AnyMap) -> None:
 
 
 def outcomes(results: AnyMap) -> dict[str, Any]:
-    """Cells of each label, or its probability, for JSON; of several lashes, by lash."""
+    """Record for JSON of the number of cells of each label, by lash as of `of_lashes`.
+
+    Of a tolerance map, it also has each label's share of the runs, and the numbers of cells, draws and failed runs.
+    """
     from clunk.results.maps import ToleranceMap
 
     records: dict[str, dict[str, Any]] = {}

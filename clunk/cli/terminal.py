@@ -1,4 +1,4 @@
-"""What reaches a terminal: text made safe; and messages on stderr, before a run and on what failed."""
+"""Output to a terminal: text made safe, and messages on stderr: warnings before a run, failures, files written."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ if TYPE_CHECKING:
     from clunk.study.study import Study
 
 
-_FEWEST_STEPS = 10  # a period of the fastest oscillation
-# What a terminal obeys instead of showing: control characters but for tabs and line ends, and changes of direction.
+_FEWEST_STEPS = 10  # least number of steps of rk4 in a period of the fastest oscillation
+# Characters that a terminal obeys instead of showing: control characters other than tabs and line feeds, and characters
+# that change the direction of writing.
 _OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
 
 def safe(text: str) -> str:
-    """Text that a terminal only shows: characters that it obeys are spelled out, as in ``\\x1b]0;title``."""
+    """Text with those characters spelled out that a terminal would obey instead of showing: ``\\x1b]0;title``."""
     return _OBEYED.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 class _SafeStream:
-    """A text stream to which everything is written as `safe` text; `direct` is the stream itself, for bars and styles.
+    """A text stream that writes every text as `safe` text; `direct` is the stream behind it, for bars and styles.
 
-    It offers no bytes (`buffer`), which would go around it.
+    It has no `buffer`: bytes written there would not be made safe.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -50,7 +51,7 @@ class _SafeStream:
         self._passed(self.direct.flush)
 
     def _passed(self, call: Any, *arguments: Any) -> Any:
-        """Call the stream. Once its reader has gone, as of `| head`, what is printed goes nowhere."""
+        """Call a method of the stream. Once its reader has gone, as with `| head`, further output is discarded."""
         try:
             return call(*arguments)
         except BrokenPipeError:
@@ -64,22 +65,23 @@ class _SafeStream:
 
 @contextmanager
 def safe_output() -> Iterator[None]:
-    """Make everything safe that is printed within: titles, names and labels may come out of files of others."""
+    """Make all output safe that is printed within: titles, names and labels may come from files of other people."""
     out, err = (cast("TextIO", _SafeStream(stream)) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
         yield
 
 
 def complain(message: str) -> None:
-    """Print what is wrong, within the width of a terminal; a report that is laid out already stays as it is."""
+    """Print a message on stderr, its lines wrapped to the width of a terminal; lines that fit stay as they are."""
     for line in safe(message).splitlines():
         click.echo(line if len(line) <= WIDTH else fill(line), err=True)
 
 
 def warn(study: Study, method: str | None = None) -> None:
-    """Warn of a step of rk4 that is too coarse for the contact, and note which of the keys that vary change nothing.
+    """Warn of a step of rk4 that is too coarse for the contact, and note each varied key that changes nothing.
 
-    Wrong labels of a coarse step have no other sign where it is stable.
+    Where a coarse step is stable, this warning is the only sign of its wrong labels. A sweep is judged where the ends
+    of its axes give the fewest steps in a period.
 
     method : by which runs are made, by default the config's
     """
@@ -88,8 +90,8 @@ def warn(study: Study, method: str | None = None) -> None:
     from clunk.study.study import replace_values
 
     is_rk4 = (method or study.solver.method) == "rk4"
-    for axis in study.swept.axes * is_rk4:  # where on it steps are fewest
-        with suppress(ClunkError):  # not all ends of axes go together
+    for axis in study.swept.axes * is_rk4:  # set each axis to its end with the fewest steps
+        with suppress(ClunkError):  # the ends of some axes may not be allowed together
             ends = (replace_values(study, {axis.parameter: end}) for end in (min(axis.grid), max(axis.grid)))
             study = min(study, *ends, key=steps_a_period)
     if is_rk4 and (steps := steps_a_period(study)) < _FEWEST_STEPS:
@@ -102,7 +104,10 @@ def warn(study: Study, method: str | None = None) -> None:
 
 
 def report_failures(results: AnyMap, how: str) -> None:
-    """Print the failed cells by cause, and where the first few are; `how` goes after "failed"."""
+    """Print on stderr, for each cause, how many cells failed and where the first three are.
+
+    how : text after the word "failed"
+    """
     import numpy as np
 
     from clunk.core.status import Status
@@ -120,12 +125,12 @@ def report_failures(results: AnyMap, how: str) -> None:
 
 
 def say_written(path: Path) -> None:
-    """Name the file that was written."""
+    """Print on stderr the name of a file that was written."""
     click.echo(f"-> {path}", err=True)
 
 
 def save_picture(figure: Figure, path: Path) -> None:
-    """Save a figure and name its file."""
+    """Save a figure, and print on stderr the name of its file."""
     from clunk import plot
 
     plot.save(figure, path)

@@ -192,7 +192,7 @@ def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
 def draw_torque(ax: Axes, runs: Runs, looks: Looks) -> None:
     """Draw the torque of the load."""
     for run in runs:
-        single = {"color": INK} if len(runs) == 1 else {}  # the first inertia has the first run's colour
+        single = {"color": INK} if len(runs) == 1 else {}  # the first run's own colour is also the first inertia's
         ax.plot(run.time, run.torque, zorder=3, **looks[run.name] | single)
     ax.set_ylabel("Torque\n[N m]")
     ax.yaxis.set_major_locator(ticker.MaxNLocator(4))
