@@ -7,12 +7,14 @@ import pytest
 from helpers import reference
 from helpers.agreement import exact, happened_in, in_order
 from helpers.randomplants import element_plant
+from helpers.studies import random_study
 
 import clunk
-from clunk.core.events import TOUCH
+from clunk.core.events import LOCK, TOUCH
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
+from clunk.study.study import replace_values
 
 METHODS = ["exact", "rk4"]
 END_TIME = 0.3  # s
@@ -239,6 +241,17 @@ def test_two_free_parts_whose_flanks_rest_on_each_other_go_on_together():
     assert [each.label for each in run.lashes] == [each.label for each in other.lashes] == ["SS(1)", "SS(2)"]
     assert len(run.events) < 100
     assert balance(run).relative_residual < 1e-10
+
+
+def test_flanks_that_nothing_presses_do_not_part_by_the_rounding_of_earlier_phases():
+    """The parts on both sides of the second lash turn as one, held by friction, after the first lash has parted: the
+    torque on its flanks is zero but for what rounding has left, and the next impact presses them on each other."""
+    study = random_study(1460).model_copy(update={"sweep": None})
+    study = replace_values(study, {"lash[1].backlash_deg": 0.4682, "driveline.shafts[2].friction": 0.2389})
+    run = simulate(study)
+    kinds = run.events["kind"][run.events["lash"] == 1]
+    assert np.flatnonzero(kinds == LOCK).tolist() == [len(kinds) - 1]  # its last event
+    assert str(run.lashes[1].label) == "CR(1)"
 
 
 ON_A_WALL = """

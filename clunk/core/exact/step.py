@@ -357,10 +357,15 @@ def _first_zero(
     given = order > 0.0
     starts = given | (start <= noise) & (start >= -within)
     order = vectors.choose(starts & ~given, 1.0, order)
+    still = starts | (vectors.magnitude(start) <= within)
     for n in range(1, 4):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
-        starts &= -space.system.impulsive & (vectors.magnitude(vectors.load(c, n)) <= of_slope)
+        size = vectors.magnitude(vectors.load(c, n))
+        still &= -space.system.impulsive & (size <= vectors.larger(of_slope, within))
+        starts &= -space.system.impulsive & (size <= of_slope)
         order = vectors.choose(starts, vectors.larger(order, n + 1.0), order)
-    near &= ~starts  # flanks whose guard stays zero move together, and nothing presses them on each other
+    # Flanks whose guard stays zero move together, and nothing presses them on each other. So do those whose guard is so
+    # near to zero that the rounding of earlier phases, which `noise` does not know, may have made it.
+    near &= ~still
     for n in range(3):  # zeros at the beginning are divided out of the series
         shifted = order > float(n)
         if not shifted:
