@@ -141,6 +141,12 @@ def test_complete_run_goes_on_to_rest():
     assert sampled.angle[-1, 3] == pytest.approx(-1.0 / 31.3, rel=1e-6)
 
 
+def test_a_run_that_may_go_on_is_not_sampled_beyond_its_end():
+    trajectory = run("gap", "load.ratio=7.0", "solver.end_time=0.04")
+    assert not trajectory.complete
+    assert sample(trajectory, until=0.5).time[-1] == pytest.approx(0.1 + 0.04)
+
+
 @pytest.mark.parametrize("options", [{"until": 0.0}, {"until": 0.1}, {"step": 0.0}, {"step": -1e-3}])
 def test_no_samples_are_refused_in_one_sentence(options):
     with pytest.raises(ClunkError, match=r"^A run cannot be sampled until .*, 0\.1 s, and step greater than 0\.$"):

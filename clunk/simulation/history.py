@@ -162,7 +162,8 @@ def sample(
         Time between samples; by default the solver's step, or longer where that makes more than 100,000 samples.
     until : float, optional  [s]
         End of the history, on the axis of `History.time` and after the load step; by default the study's end time. A
-        complete run, of which it is proved that nothing follows, may be sampled beyond the end of its computation.
+        complete run, of which it is proved that nothing follows, may be sampled beyond the end of its computation; the
+        history of another run ends there at the latest.
     name : str, optional
         The name for legends; by default the study's title.
 
@@ -175,6 +176,7 @@ def sample(
     inputs_before, load = run_load(study)
     step_time = study.load.step_time
     until = step_time + study.solver.end_time if until is None else until
+    until = until if trajectory.complete else min(until, step_time + trajectory.end)
     step = max(study.solver.step, until / _DRAWN) if step is None else step
     if not (until > step_time and step > 0.0):
         raise ClunkError(
