@@ -84,7 +84,7 @@ def fit(
 @click.command()
 @study_argument
 @output_option(help="Also write the config with the best values (.toml).")
-@click.option("--front", "traded", metavar="QUANTITY", help="Also find the least value for eight bounds on a quantity.")
+@click.option("--front", "traded", metavar="QUANTITY", help="Also find optima under eight bounds on a quantity.")
 @path_option("--plot", "picture", help="Draw the run before and after, or the front: .png .svg .pdf.")
 @lash_option
 @workers_option
@@ -218,7 +218,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     "--along",
     required=True,
     metavar="KEY",
-    help="The axis of CONFIG along which they are looked for.",
+    help="The axis of CONFIG along which thresholds are looked for.",
 )
 @click.option(
     "--of",

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.command()
 @path_argument("a")
 @path_argument("b")
-@output_option(help="Also draw where they differ, of lashes the first: .png .svg .pdf.")
+@output_option(help="Also draw where A and B differ, for the first lash: .png .svg .pdf.")
 @flag_option("--expect-equal", help="Exit with 4 where any label differs.")
 @json_option
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:

@@ -12,7 +12,7 @@ from clunk.study.records import fill, table
 @click.command()
 @file_argument
 @flag_option("--config", "show_config", help="Print the whole resolved config (TOML) instead.")
-@flag_option("--check", help="Also say that its bytes match their checksum.")
+@flag_option("--check", help="Also check that the bytes of FILE match its checksum.")
 @json_option
 def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     """Say what a results file holds.

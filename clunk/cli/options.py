@@ -62,7 +62,7 @@ at_option = repeated_option(
 
 
 lash_option = click.option(
-    "--lash", metavar="NAME", help="Of several lashes, the one that is meant, by name or number [the first]."
+    "--lash", metavar="NAME", help="The lash, by name or number, in a study of several [the first]."
 )
 json_option = flag_option("--json", "as_json", help="Print JSON for scripts.")
 workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")

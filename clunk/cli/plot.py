@@ -18,22 +18,22 @@ _LONGEST = 40  # most characters of a lash's name in a file name
 @click.option(
     "--quantity",
     metavar="NAME",
-    help="One picture only: regimes, severity, touches, double_sided_impacts, 'severity<=8000', …",
+    help="Draw one quantity only: regimes, severity, touches, double_sided_impacts, 'severity<=8000', …",
 )
 @at_option
 @repeated_option(
     "--facet",
     "facets",
     metavar="KEY",
-    help="A map for each value; twice: rows, columns.",
+    help="Draw a map for each value of a key; of two keys, in rows and columns.",
 )
-@click.option("--lash", metavar="NAME", help="Of several lashes, this one; --facet lash: side by side [each].")
+@click.option("--lash", metavar="NAME", help="Draw this lash of several [each]; --facet lash draws all side by side.")
 @click.option(
     "--x",
     metavar="KEY",
-    help="From left to right, of axes walked together or of a sample.",
+    help="Horizontal axis, for axes that are walked together or a sample.",
 )
-@click.option("--y", metavar="KEY", help="Upwards, of a sample; with one of --x and --y a quantity is drawn over it.")
+@click.option("--y", metavar="KEY", help="Vertical axis, for a sample; with --x or --y alone a quantity over it.")
 def plot(
     file: Path,
     output: Path | None,

@@ -16,7 +16,7 @@ from clunk.cli.options import EXIT_MISMATCH, json_option, output_option, path_op
     "--coarsen",
     type=click.Choice(["1", "2", "5", "10"]),  # each keeps every load ratio and backlash that the report names
     default="1",
-    help="Only each n-th value of the maps' axes [1].",
+    help="Run the maps with only every n-th value of their axes [1].",
 )
 @path_option("--table", help="Also write the claims into this Markdown file.")
 @json_option

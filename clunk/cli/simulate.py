@@ -39,7 +39,7 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
 @repeated_option(
     "--overlay",
     metavar="KEY=V1,V2,…",
-    help="A run for each value. May be repeated.",
+    help="Make a run for each value of KEY, or combination of values. May be repeated.",
 )
 @output_option(help="Picture (.png .svg .pdf), or data (.csv).")
 @click.option(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.option(
     "--boundaries/--no-boundaries",
     default=None,
-    help="Trace the curves between labels, of two axes [yes].",
+    help="Trace the curves between labels of a map with two axes [yes].",
 )
 @click.option("--lash", metavar="NAME", help="Of several lashes, the one whose boundaries are traced [the first].")
 @json_option
