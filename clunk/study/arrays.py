@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold."""
+"""Array types, named after their contents."""
 
 from typing import Any
 
@@ -17,10 +17,10 @@ from clunk.core.arrays import (
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
 Integers = IntArray
-Cells = Integers  # their numbers in C order
-Codes = Integers  # of labels and of other outcomes
-Nodes = Integers  # their numbers, see `clunk.analysis.lines`
+Cells = Integers  # numbers of cells in C order
+Codes = Integers  # codes of labels and of other outcomes
+Nodes = Integers  # numbers of nodes, see `clunk.analysis.lines`
 Counts = npt.NDArray[np.int32]
 Flanks = npt.NDArray[np.int8]  # +1 opposite, -1 initial, 0 none
 Floats = FloatArray
-LabelCodes = npt.NDArray[np.int16]  # of a map's labels, -1 of a failed cell
+LabelCodes = npt.NDArray[np.int16]  # codes of a map's labels; -1 for a failed cell

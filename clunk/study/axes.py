@@ -11,8 +11,8 @@ from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.sweeps import Varied
 
-RUN = "run"  # the dimension of what is walked or drawn together
-LASH = "lash"  # the last dimension of results of several lashes
+RUN = "run"  # name of the dimension along which parameters are walked or drawn together
+LASH = "lash"  # name of the last dimension of results of several lashes
 
 
 def variable_of(parameter: str) -> str:
@@ -22,13 +22,13 @@ def variable_of(parameter: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ResultAxis:
-    """A swept parameter with the values that it took; or the dimension `run` or `lash`, with their numbers from 1.
+    """A swept parameter with the values that it took; or the dimension `run` or `lash`, whose values number from 1.
 
     parameter : dotted key of the config, e.g. ``load.ratio`` or ``driveline.inertias[4]``; or ``run`` or ``lash``
     values : (count,) float64  [unit]
     name, symbol, unit : for people, e.g. ``load ratio``, ``σr = Td/Ts``, ``1``
-    words : the values as words, if they are: of lashes, their names
-    along : of `run`, the parameters that change together along it, each as long as it
+    words : texts of the values, of `lash` the names of the lashes; empty where the values are numbers
+    along : of `run`, the parameters that change together along it, each as long as `run`; else empty
     """
 
     parameter: str
@@ -45,7 +45,7 @@ class ResultAxis:
 
     @property
     def parameters(self) -> tuple["ResultAxis", ...]:
-        """The parameters that change along the axis: itself, or of `run` several."""
+        """The parameters that change along the axis: those along `run`, otherwise the axis itself alone."""
         return self.along or (self,)
 
     @property
@@ -77,16 +77,16 @@ class ResultAxis:
         return "" if self.unit == "1" else f" {self.unit}"
 
     def part(self, places: slice) -> "ResultAxis":
-        """The axis at some of its places."""
+        """The axis restricted to a slice of its positions."""
         along = tuple(each.part(places) for each in self.along)
         return replace(self, values=self.values[places], words=self.words[places], along=along)
 
     def nearest(self, value: float | str) -> int:
-        """Index of the value nearest to this one, on a logarithmic axis in the logarithm; or of a word.
+        """Index of the axis's value nearest to a number, or index of a word.
 
-        Of two as near, it is the first.
+        On a geometric axis the nearest logarithm counts. Of two values that are equally near, the first is taken.
 
-        Raises ClunkError beyond the axis, or where it has no such word.
+        Raises ClunkError where a number lies beyond the axis, or the axis has no such word.
         """
         if isinstance(value, str):
             if value not in self.words:
@@ -100,13 +100,13 @@ class ResultAxis:
         return int(abs(apart).argmin())
 
     def few(self, most: int) -> Floats:
-        """At most so many of its values, in ascending order and evenly spread, with the first and the last."""
+        """At most `most` values of the axis in ascending order, at evenly spread ranks, with the least and largest."""
         places = np.linspace(0, len(self) - 1, min(most, len(self)))
         return np.sort(self.values)[np.rint(places).astype(np.intp)]
 
     @cached_property
     def is_geometric(self) -> bool:
-        """Whether the values, put in order, are spaced evenly in their logarithm, and not in themselves."""
+        """Whether there are 3 or more values, all positive, evenly spaced in their logarithm over a factor above 3."""
         ascending = np.sort(self.values)
         if len(ascending) < 3 or ascending[0] <= 0.0:
             return False
@@ -123,11 +123,11 @@ def parameters_of(varied: Iterable[ResultAxis | Varied]) -> list[str]:
 
 
 def run_axis(along: Iterable[ResultAxis]) -> ResultAxis:
-    """The dimension of runs along which these parameters change together."""
+    """The axis `run`, along which these parameters change together."""
     along = tuple(along)
     return ResultAxis(RUN, np.arange(1.0, len(along[0]) + 1.0), RUN, "", "1", along=along)
 
 
 def lash_axis(names: Sequence[str]) -> ResultAxis:
-    """The dimension of these lashes."""
+    """The axis `lash` of lashes with these names."""
     return ResultAxis(LASH, np.arange(1.0, len(names) + 1.0), LASH, "", "1", tuple(names))

@@ -1,9 +1,9 @@
-"""A config becomes a `Study`: parse, merge preset and overrides, fill in what axes imply, validate, or report.
+"""Loading a config as a `Study`: parse, merge preset and overrides, fill in what axes imply, validate, report errors.
 
     text ──parse──▶ document ──preset, --set, axes──▶ whole document ──models, rules──▶ Study
 
-In a `Study` names are resolved to numbers and every default is filled in, so that `to_toml` writes all there is to know
-about a run.
+In a `Study` names of items are resolved to numbers and every default is filled in, so that the TOML of `to_toml`
+describes a run completely.
 """
 
 import copy
@@ -35,7 +35,8 @@ from clunk.study.rules import doubts, varied_tables
 from clunk.study.study import Study
 from clunk.study.tables import OTHER_UNITS, Finding, is_number, position_of
 
-# Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
+# Pairs of groups of keys in a table of which only one group may be given. A key and its variant in another unit
+# (`OTHER_UNITS`) exclude each other likewise.
 _ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (
     (("load",), TORQUES),
     (("load",), (("times", "torques"), ("file",))),
@@ -55,12 +56,13 @@ def load_study(path: FilePath, overrides: str | Sequence[str] = ()) -> Study:
     Raises
     ------
     ConfigError
-        With everything that is wrong.
+        Where the file cannot be read, or the config has errors; the text lists all of them.
 
     Warns
     -----
     ClunkWarning
-        Where the file has fewer shafts than its preset, all of which they replace, or numbers that are hardly meant.
+        Where the file has fewer shafts than its preset, all of which they replace, or where values are allowed but
+        implausible (`clunk.study.rules.doubts`).
 
     Examples
     --------
@@ -81,14 +83,15 @@ def load_study(path: FilePath, overrides: str | Sequence[str] = ()) -> Study:
 def study_from_text(
     text: str, source: str = "<text>", overrides: str | Sequence[str] = (), folder: FilePath = "."
 ) -> Study:
-    """Load the study of a config's text; as `load_study` otherwise.
+    """Load the study of a config that is given as TOML text, with the errors and warnings of `load_study`.
 
     Parameters
     ----------
     text : TOML
-    source : name of the text in a report
+    source : name of the text in a report of errors
     overrides : str or sequence of str, "load.ratio=7"
-    folder : path, in which the files that the text names are
+    folder : path, to which paths of files in the text are relative; those in overrides are relative to the current
+        directory
 
     Examples
     --------
@@ -105,7 +108,7 @@ def study_from_text(
         except ValueError as error:
             malformed.append(Problem(shorten(override), None, str(error), override=True))
         else:
-            assignments.pop(place, None)  # the last one of a key counts, and comes last
+            assignments.pop(place, None)  # of several overrides of a key the last one counts
             assignments[place] = value
     preset_name, preset, findings = _preset(raw, assignments)
     document = _merged(preset, raw)
@@ -113,7 +116,8 @@ def study_from_text(
     file = ("load", "file")
     findings += _load_trace(document, folder) if file not in assignments else []
     assigned: list[Place] = []
-    for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
+    # load.file comes first, since other overrides may set items of the lists that are read from it
+    for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):
         known = names_of(document)
         resolved = place_of(dotted(place), known)
         _displace(document, resolved or place, value, kept={*assignments, *assigned})
@@ -138,7 +142,7 @@ def study_from_text(
     lines, problems = key_lines(text), {}
     for place, finding in findings:
         if any(place[:k] in problems for k in range(1, len(place) + 1)):
-            continue  # the first finding at a place says what is wrong, a second would follow from it
+            continue  # a later finding at or below a place follows from the first one there
         is_new = value_at(raw, place) is None
         is_set = any(
             place[: len(target)] == target or (is_new and target[: len(place)] == place)
@@ -152,7 +156,10 @@ def study_from_text(
 
 
 def _preset(raw: Document, assignments: Mapping[Place, Any]) -> tuple[str, Document, list[Finding]]:
-    """Name and tables of the preset, without what the file gives in other keys; empty where there is none."""
+    """Name, tables and findings of the preset; empty without a preset.
+
+    The tables lack the keys that the file replaces by alternative ones, such as gap_mm for backlash_deg.
+    """
     place = ("driveline", "preset")
     name = assignments.get(place, value_at(raw, place))
     if name is None:
@@ -170,24 +177,24 @@ def _preset(raw: Document, assignments: Mapping[Place, Any]) -> tuple[str, Docum
     profile: Place = ("load", "profile")
     word = assignments.get(profile, value_at(raw, profile))
     _displace(preset, profile, word)
-    if isinstance(word, str) and word in PROFILES:  # what belongs to the preset's own profile
+    if isinstance(word, str) and word in PROFILES:  # drop what only the preset's profile uses
         preset["load"] = {key: value for key, value in preset["load"].items() if uses(word, key) or key == "profile"}
-    if items_of(assignments.get(("lash",), raw.get("lash"))):  # which replace the preset's lash as a whole
+    if items_of(assignments.get(("lash",), raw.get("lash"))):  # an array of lashes replaces the preset's
         preset.get("impacts", {}).pop("acceleration_of", None)
     return name, preset, findings
 
 
 def _read_preset(name: str) -> Document:
-    """Tables of a preset, in the place of those of the preset that it names, if it names one."""
+    """Tables of a preset, merged into those of the base preset that it names, if any."""
     tables = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
     base = tables["driveline"].pop("preset", None)
     return tables if base is None else _merged(_read_preset(base), tables)
 
 
 def _warn_of_fewer_shafts(name: str, preset: Document, raw: Document) -> None:
-    """Warn of a file that seems to add shafts to a preset, or to change one: it replaces them all.
+    """Warn of a file with fewer shafts than its preset: they replace all of these, and do not add to or change them.
 
-    With inertias of its own, or a lash in another place, it has a driveline of its own.
+    A file that gives inertias, lash.between or an array of lashes describes another driveline, and gets no warning.
     """
     shafts, of_preset = items_of(value_at(raw, ("driveline", "shafts"))), preset["driveline"]["shafts"]
     topology = (("driveline", "inertias"), ("lash", "between"), ("lash", 0))
@@ -198,10 +205,10 @@ def _warn_of_fewer_shafts(name: str, preset: Document, raw: Document) -> None:
 
 
 def _displace(document: Document, place: Place, value: Any = None, kept: Container[Place] = ()) -> None:
-    """Remove the keys of a document that another layer's key replaces: its other unit, the other torques and so on.
+    """Remove the keys of a document that a key of a later layer (file, override) replaces, such as its other unit.
 
-    value : of that key
-    kept : keys that stay, to be refused beside it
+    place, value : of the key in the later layer
+    kept : places that stay although they are replaced: validation then refuses both keys
     """
     names = STEP_KEYS if (place, value) == (("load", "profile"), "table") else _alternatives(place)
     table = value_at(document, place[:-1])
@@ -211,7 +218,7 @@ def _displace(document: Document, place: Place, value: Any = None, kept: Contain
 
 
 def _alternatives(place: Place) -> list[str]:
-    """Names of the keys beside a key that may be given instead of it."""
+    """Names of the keys in a key's table that may be given instead of it: another unit, the other torques and so on."""
     *table, name = place
     at = tuple(step for step in table if isinstance(step, str))
     pairs = [pair for pattern, pair in _ALTERNATIVES if pattern == at]
@@ -220,7 +227,7 @@ def _alternatives(place: Place) -> list[str]:
 
 
 def _merged(preset: Document, raw: Document) -> Document:
-    """A preset with the file's values in place of its own; a list of the file replaces the preset's."""
+    """Tables of a preset overridden by those of a file, key by key; a list of the file replaces the whole list."""
     merged = dict(preset)
     for key, value in raw.items():
         below = merged.get(key)
@@ -230,13 +237,16 @@ def _merged(preset: Document, raw: Document) -> Document:
 
 
 def _unwrap_lash(document: Document) -> None:
-    """Make an array of one lash the lash itself, whose keys then have no number."""
+    """Replace an array of one lash by its table, so that keys are `lash.radius`, and not `lash[1].radius`."""
     if len(lashes := items_of(document.get("lash"))) == 1:
         document["lash"] = lashes[0]
 
 
 def _load_trace(document: Document, folder: FilePath) -> list[Finding]:
-    """Put the times and torques of the load's file, if it has one alone, in its place."""
+    """Replace `load.file` by times and torques of that trace, and return findings on the file.
+
+    Beside times or torques the key stays, to be refused by validation.
+    """
     load: Any = document.get("load")
     file = value_at(load, ("file",))
     if not isinstance(file, str) or load.keys() & {"times", "torques"}:
@@ -250,12 +260,13 @@ def _load_trace(document: Document, folder: FilePath) -> list[Finding]:
 
 
 def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
-    """Fill in what a document implies: swept keys without a default that it leaves out, and the severity's inertia.
+    """Fill in values that a document implies: those of swept keys without a default, and the severity's inertia.
 
-    Names in the parameters of sweep, fit and optimisation become numbers, and so do inertias that an axis takes.
-    Returns what is wrong with these parameters.
+    The inertia of the severity is filled in for a single lash only. The load profile "tip-out" becomes "step". Names in
+    the parameters of sweep, fit and optimisation become numbers, and so do names of inertias among an axis's values.
+    Returns findings on these parameters.
 
-    assigned : keys that were set on the command line, which no axis may sweep
+    assigned : places that were set on the command line, which no axis may sweep
     """
     findings = []
     profile = str(value_at(document, ("load", "profile")) or "step")
@@ -268,8 +279,8 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
             table[key] = _numbered(table[key], names)
     if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
         ends = items_of(value_at(document, ("lash", "between")))
-        own = next((end for end in ends if type(end) is int or end in inertias), 1)
-        document["impacts"].setdefault("acceleration_of", own)
+        first_end = next((end for end in ends if type(end) is int or end in inertias), 1)
+        document["impacts"].setdefault("acceleration_of", first_end)
     for at, entry in varied_tables(document):
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
@@ -293,21 +304,21 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
                     numbers.append(position_of(value, len(inertias), inertias, "inertia") + 1 if is_name else value)
                 except ValueError as error:
                     findings.append(((*at, "values", k), str(error)))
-            entry["values"] = numbers or [1]  # the names that there are not are all that is wrong
+            entry["values"] = numbers or [1]  # unknown names are already among the findings
         text = f"{dotted(at)} sweeps {parameter}: set the axis's values, or, of one run, choose one by --at"
-        set_instead = instead if place[0] == "lash" else []  # of the other torques, the axis has an error of its own
+        set_instead = instead if place[0] == "lash" else []  # `complaint` reports other torques
         findings += [(each, text) for each in (place, *set_instead) if each in assigned]
         is_missing = not any(value_at(document, each) is not None for each in (place, *instead))
         is_needed = is_missing and not known.is_optional and isinstance(place[-1], str)
-        if is_needed and (place[0] != "load" or uses(profile, str(place[-1]))):  # else an error says so
-            # the axis's first value, or one that is allowed: what is wrong with the axis has an error of its own
+        if is_needed and (place[0] != "load" or uses(profile, str(place[-1]))):  # else `complaint` reports it
+            # the axis's first value if it is allowed, else 1: errors of the axis itself are reported elsewhere
             first: Any = next(iter(items_of(entry.get("values"))), entry.get("start"))
             assign(document, place, first if is_number(first) and known.allows(first) and not known.whole else 1)
     return findings
 
 
 def _numbered(parameter: Any, names: Names) -> Any:
-    """A key, or each of several, with numbers in the place of names; whatever is no key as it is."""
+    """A dotted key, or each of a list, with item names replaced by numbers; malformed and unknown keys unchanged."""
     if isinstance(parameter, list):
         return [_numbered(each, names) for each in parameter]
     place = place_of(parameter, names) if isinstance(parameter, str) else None

@@ -1,7 +1,7 @@
 """Designs: the dimensions of a sweep, and the parameters that change along each.
 
-A grid has a dimension for each axis. Axes that are walked together (a zip design) and keys that are drawn together (a
-sampled one) lie along one dimension, `run`, each a coordinate on it.
+A grid has a dimension for each axis. Axes that are walked together (a zip design) and keys that are drawn together
+(samples) share one dimension, `run`; each is a coordinate on it.
 """
 
 import math
@@ -27,7 +27,8 @@ from clunk.study.sweeps import Axis, Sweep
 class Design:
     """The cells of a sweep: the product of its axes.
 
-    axes : one for each dimension; of what is walked or drawn together `run`, with the runs' numbers
+    axes : one for each dimension; parameters that are walked or drawn together share the axis `run`, whose values are
+        the runs' numbers from 1
     """
 
     axes: ResultAxes = ()
@@ -44,30 +45,35 @@ class Design:
 
     @property
     def parameters(self) -> ResultAxes:
-        """The parameters that change: the axes, and in the place of `run` its coordinates."""
+        """The parameters that change: the axes, with the axis `run` replaced by its coordinates."""
         return tuple(each for axis in self.axes for each in axis.parameters)
 
     @property
     def coordinates(self) -> ResultAxes:
-        """The parameters that change together along `run`, each as long as it; none without that."""
+        """The parameters that change together along the axis `run`, each as long as the axis; empty without `run`."""
         return tuple(each for axis in self.axes for each in axis.along)
 
     def nearest(self, values: Mapping[str, float]) -> tuple[int, ...]:
-        """Positions on the axes of the cell nearest to values of these, by parameter; on others the first.
+        """Positions on the axes of the cell nearest to some values; 0 on an axis without a value.
 
         Raises ClunkError where a value lies beyond its axis.
+
+        values : parameter of an axis -> value, in its unit
         """
         return tuple(axis.nearest(values.get(axis.parameter, axis.values[0])) for axis in self.axes)
 
     def columns(self, cells: Cells) -> dict[str, Floats]:
-        """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
+        """Values of each parameter in some cells, parameter -> (n,) float64.
+
+        cells : (n,) numbers of the cells in C order
+        """
         positions = np.unravel_index(cells, self.shape) if self.axes else ()
         pairs = zip(self.axes, positions, strict=True)
         return {each.parameter: each.values[places] for axis, places in pairs for each in axis.parameters}
 
 
 def axis_of(parameter: str, values: Floats) -> ResultAxis:
-    """Axis of a parameter, (n,) float64 in its key's unit."""
+    """Axis of a parameter with these values, (n,) float64 in its key's unit."""
     known = quantity(parameter)
     return ResultAxis(parameter, values, known.name, known.symbol, known.unit)
 
@@ -78,7 +84,7 @@ def along_run(columns: Iterable[tuple[str, Floats]]) -> Design:
 
 
 def design_of(study: Study) -> Design:
-    """The design of a study's sweep, tolerances aside; of no dimension and one cell without axes and samples."""
+    """The design of a study's sweep without its tolerances; without axes and samples it has no axis and one cell."""
     sweep = study.swept
     swept = [(axis.parameter, axis.grid) for axis in sweep.axes]
     if sweep.design == "zip" and sweep.axes:
@@ -96,14 +102,14 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     Parameters
     ----------
     study : Study
-        Its sweep is left aside.
+        Its own sweep is ignored.
     points : parameter -> (n,) float, in the key's unit
-        As ``{"load.ratio": ratios, "lash.backlash_deg": gaps}``; n is 1 or more, and of all columns the same.
+        For example ``{"load.ratio": ratios, "lash.backlash_deg": gaps}``; n is 1 or more, the same for all parameters.
 
     Raises
     ------
     ConfigError
-        Where a value is not one that a config may hold, or a parameter is given twice.
+        Where a parameter is unknown or given twice, lengths differ, or a value breaks the rules of a config.
     """
     lists = (with_tuples(np.asarray(values).tolist()) for values in points.values())
     columns = dict(zip(distinct(study, points), lists, strict=True))
@@ -132,16 +138,19 @@ def nominal(study: Study) -> Study:
 
 
 def with_cells(study: Study) -> Study:
-    """The study without its tolerances; one with nothing to sweep as one of a single cell, so that it has results."""
+    """The study without its tolerances, and with at least one cell, so that it has results.
+
+    A study without axes and samples gets an axis of one value, the backlash of its first lash.
+    """
     if study.swept.axes or study.swept.samples:
         return nominal(study)
-    parameter = dotted((*study.lash_places[0], "backlash_deg"))  # any key does that every study has
+    parameter = dotted((*study.lash_places[0], "backlash_deg"))  # any other key that every study has would do
     axis = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
     return study.but(sweep=Sweep(axes=(axis,)))
 
 
 def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
-    """The study with some axes cut down to one value each; values : parameter -> value, in the key's unit."""
+    """The study with some axes reduced to one value each; values : parameter -> value, in the key's unit."""
     axes = tuple(
         Axis(parameter=axis.parameter, values=(values[axis.parameter],)) if axis.parameter in values else axis
         for axis in study.swept.axes
@@ -150,13 +159,13 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
 
 
 def unused_parameters(study: Study) -> list[str]:
-    """Swept, drawn, fitted or free keys that change nothing in the study's contact model."""
+    """Swept, drawn, fitted or free keys that have no effect under the study's contact model."""
     keys = [key for _, table in varied_tables(study) for key in table.keys]
     return [key for key in keys if is_unused(study, key)]
 
 
 def is_unused(study: Study, parameter: str) -> bool:
-    """Whether a key changes nothing in the study's contact model."""
+    """Whether a key has no effect on runs under the study's contact model; load.step_time never has one."""
     if study.has_rigid_flanks:
         unused = {
             "lash.radius",

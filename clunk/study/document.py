@@ -1,7 +1,7 @@
-"""A config as plain tables, lists and values: TOML and `key=value` overrides read, and the lines on which keys stand.
+"""Config documents as plain tables, lists and values: TOML and `key=value` overrides, places, and lines of keys.
 
-A place in a config is a tuple of keys and of list positions from 0, ``("driveline", "shafts", 2, "damping")``; people
-read and write it with items from 1, ``driveline.shafts[3].damping``.
+A place in a config is a tuple of keys and of list positions from 0, ``("driveline", "shafts", 2, "damping")``. Its
+dotted key, which people read and write, numbers items from 1: ``driveline.shafts[3].damping``.
 """
 
 import contextlib
@@ -19,13 +19,13 @@ from clunk.study.errors import ConfigError, Problem, nearest, shorten
 
 Place = tuple[str | int, ...]
 FilePath = str | PathLike[str]
-Document = dict[str, Any]  # tables of a config, as TOML has them
+Document = dict[str, Any]  # tables of a config, as tomllib returns them
 
 _LARGEST_FILE = 64 * 2**20  # bytes; a device or a results file must not fill the memory before it is refused
 _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the stack
 _SEGMENT = re.compile(r"([A-Za-z0-9_-]+)((?:\[[^\[\]]+\])*)")
 _ITEM_NUMBER = re.compile(r"[0-9]{1,9}")
-_PLAIN_WORD = re.compile(r"(?:[^\W\d]|[./~])(?:[\w./~-]|\[\d+\])*")  # or a path, or a key
+_PLAIN_WORD = re.compile(r"(?:[^\W\d]|[./~])(?:[\w./~-]|\[\d+\])*")  # also a path or a dotted key
 _WORDS_OF_TOML = {"true", "false", "inf", "nan"}
 
 
@@ -33,10 +33,11 @@ _WORDS_OF_TOML = {"true", "false", "inf", "nan"}
 
 
 def read_text(path: FilePath, noun: str = "a config", form: str = "a TOML file", known: str | None = None) -> str:
-    """Read a text file in UTF-8; raise ConfigError where there is no such file, or it is no text.
+    """Read a text file in UTF-8; raise ConfigError where it is missing, unreadable, larger than 64 MiB or not UTF-8.
 
-    noun, form : what is to be read, for the error's text
-    known : end of the sentence on a file that does not exist; by default it names the nearest config
+    noun, form : what the file is read as and its format, for the text of an error
+    known : end of the error's sentence where the file does not exist; by default a hint at the config with the most
+        similar name
     """
     try:
         with Path(path).open("rb") as file:
@@ -58,7 +59,7 @@ def read_text(path: FilePath, noun: str = "a config", form: str = "a TOML file",
 
 
 def parse_toml(text: str, source: str) -> Document:
-    """Parse TOML into tables; raise ConfigError where it is none."""
+    """Parse TOML into tables; raise ConfigError where it is not valid, or nested more than `_DEEPEST` levels deep."""
     try:
         document = tomllib.loads(text)
     except RecursionError:
@@ -73,12 +74,12 @@ def parse_toml(text: str, source: str) -> Document:
 
 
 def parse_override(text: str) -> tuple[Place, Any]:
-    """Place and value of `key=value`; the value is TOML, or a plain word or path without its quotes.
+    """Place and value of an override `key=value`; the value is TOML, or a word, path or dotted key without quotes.
 
     Raises
     ------
     ValueError
-        With a sentence on what is malformed.
+        Where the override is malformed; the text is a sentence for the user.
     """
     key, value = assigned(text)
     place = parse_place(key)
@@ -89,7 +90,7 @@ def parse_override(text: str) -> tuple[Place, Any]:
     if _PLAIN_WORD.fullmatch(value) and value not in _WORDS_OF_TOML:
         return place, value
     try:
-        parsed = tomllib.loads(f"value = {value}".encode().decode())  # bytes that are no text were escaped
+        parsed = tomllib.loads(f"value = {value}".encode().decode())  # encode() refuses bytes that were not UTF-8
     except (ValueError, RecursionError):
         parsed = {}
     if parsed.keys() != {"value"} or _is_too_deep(parsed):
@@ -102,7 +103,11 @@ def _refusal(sentence: str, line: int | None = None) -> ConfigError:
 
 
 def nearest_file(path: Path, suffix: str, usual: str) -> str:
-    """Question after a file of a similar name, beside one that does not exist or in the usual folder; or nothing."""
+    """Hint at a file whose name resembles that of a missing one: ``; did you mean configs/smoke.toml?``, or empty.
+
+    suffix : of the files that are considered
+    usual : folder in which they usually are, searched after the folder of the missing file, beside which it lies
+    """
     if path.exists():
         return ""
     for folder in (path.parent, path.parent / usual):
@@ -119,8 +124,8 @@ def _is_too_deep(node: object, room: int = _DEEPEST) -> bool:
 
 
 def assigned(text: str) -> tuple[str, str | None]:
-    """Key and value of `key=value`; the value is None where there is none."""
-    match = re.fullmatch(r"((?:[^=\[]|\[[^\]]*\])*)=(.*)", text, re.DOTALL)  # brackets of a key hold a name
+    """Key and value of `key=value`; the value is None where the text has no equals sign outside of brackets."""
+    match = re.fullmatch(r"((?:[^=\[]|\[[^\]]*\])*)=(.*)", text, re.DOTALL)  # a name in brackets may contain "="
     return (match[1].strip(), match[2].strip()) if match else (text.strip(), None)
 
 
@@ -129,12 +134,12 @@ def assigned(text: str) -> tuple[str, str | None]:
 
 @functools.lru_cache(maxsize=1024)
 def parse_place(key: str) -> Place | None:
-    """Place that a dotted key names, items by number from 1; None where it is malformed.
+    """Place of a dotted key, whose items are numbered from 1; None where the key is malformed.
 
-    An item may have a name instead, ``driveline.inertias[ring]``; it comes back as ``"[ring]"``.
+    An item may be given by name instead, ``driveline.inertias[ring]``: its step in the place is then ``"[ring]"``.
     """
     place = []
-    for part in re.split(r"\.(?![^\[\]]*\])", key):  # brackets hold a name
+    for part in re.split(r"\.(?![^\[\]]*\])", key):  # a dot in brackets belongs to a name
         match = _SEGMENT.fullmatch(part)
         if match is None:
             return None
@@ -148,7 +153,7 @@ def parse_place(key: str) -> Place | None:
 
 
 def dotted(place: Place) -> str:
-    """The key of a place as people write it."""
+    """Dotted key of a place, with items numbered from 1, e.g. ``driveline.shafts[3].damping``."""
     text = ""
     for step in place:
         if isinstance(step, int):
@@ -162,12 +167,12 @@ def dotted(place: Place) -> str:
 
 
 def items_of(value: Any) -> Sequence[Any]:
-    """The items of a list; none of anything else."""
+    """The items of a list or tuple; empty for any other value."""
     return value if isinstance(value, list | tuple) else ()
 
 
 def value_at(document: Any, place: Place) -> Any:
-    """The value at a place of a document that may hold anything, or of a config's model; None where there is none."""
+    """The value at a place of a document, valid or not, or of a config's model; None where there is no value."""
     for step in place:
         if isinstance(step, int):
             items = items_of(document)
@@ -180,9 +185,9 @@ def value_at(document: Any, place: Place) -> Any:
 
 
 def leaves(node: Any, place: Place = (), *, whole_lists: bool = False) -> Iterator[tuple[str, Any]]:
-    """Yield the dotted key and the value of everything in a document; an empty table or list is a value.
+    """Yield the dotted key and the value of each leaf of a document; an empty table or list is a leaf.
 
-    whole_lists : whether a list of plain values is a value, instead of its items
+    whole_lists : whether a list of plain values is one leaf; otherwise each of its items is
     """
     is_whole = whole_lists and not any(isinstance(item, Mapping) for item in items_of(node))
     steps = [*node.items()] if isinstance(node, Mapping) else [] if is_whole else [*enumerate(items_of(node))]
@@ -193,7 +198,7 @@ def leaves(node: Any, place: Place = (), *, whole_lists: bool = False) -> Iterat
 
 
 def with_value(node: Any, place: Place, value: Any) -> Any:
-    """A copy of a document with another value at a place; items of lists must be there."""
+    """A copy of a document with another value at a place; missing tables are added, but list items must exist."""
     if not place:
         return value
     step = place[0]
@@ -203,7 +208,10 @@ def with_value(node: Any, place: Place, value: Any) -> Any:
 
 
 def assign(document: Document, place: Place, value: Any) -> bool:
-    """Put a value at a place of a document, with the tables around it; returns whether there is such a place."""
+    """Set a value at a place of a document, adding missing tables; return whether the document has such a place.
+
+    It has none where a list lacks the item, or where a step is a key of something other than a table.
+    """
     node: Any = document
     for k, step in enumerate(place):
         if isinstance(step, str) != isinstance(node, dict) or (isinstance(step, int) and step >= len(items_of(node))):
@@ -226,9 +234,12 @@ _KEY = re.compile(r"[\w-]+|\"[^\"]*\"|'[^']*'")
 
 
 def key_lines(text: str) -> dict[Place, int]:
-    """The lines, from 1, of a TOML text's table headers and of the keys that begin a line; tomllib tells none."""
+    """Line numbers, from 1, of table headers and of keys at the start of a line in a TOML text.
+
+    tomllib gives no line numbers.
+    """
     lines: dict[Place, int] = {}
-    last_items: dict[Place, int] = {}  # of the arrays of tables so far
+    last_items: dict[Place, int] = {}  # array of tables -> position of its latest item
     table: Place = ()
     for number, line in enumerate(text.split("\n"), 1):
         header, assignment = _HEADER.match(line), _ASSIGNMENT.match(line)

@@ -1,4 +1,4 @@
-"""The bases of every error that a user can cause and of every warning; problems of a config, and the report of all."""
+"""Base classes of all errors that a user can cause and of all warnings; problems of a config, and their report."""
 
 import difflib
 import json
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from clunk.study.records import counted, cut, fill
 
-_LONGEST = 40  # of a value in a sentence
+_LONGEST = 40  # characters of a value that a sentence quotes
 
 
 class ClunkError(Exception):
@@ -15,13 +15,13 @@ class ClunkError(Exception):
 
 
 class ClunkWarning(UserWarning):
-    """A warning of what a user has probably not meant."""
+    """A warning that an input is allowed, but probably not what the user meant."""
 
 
 class Problem(NamedTuple):
     """An error in a config: its key, its line and a message.
 
-    key : dotted key, items by number from 1; empty where the file as a whole is meant
+    key : dotted key with items numbered from 1; empty where the error is of the file as a whole
     line : number from 1 of the line in the file, None where there is none
     message : what was found and what is allowed
     override : whether the key was set on the command line
@@ -46,7 +46,7 @@ class ConfigError(ClunkError):
     """
 
     def __init__(self, text: str, problems: Iterable[Problem] = ()) -> None:
-        # what came from a command line may hold bytes that no terminal can print
+        # text from a command line may hold bytes that are not UTF-8, which no terminal can print
         super().__init__(text.encode("utf-8", "backslashreplace").decode("utf-8"))
         self.problems = tuple(problems)
 
@@ -55,14 +55,17 @@ class ConfigError(ClunkError):
 
 
 def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
-    """Error that lists all of a subject's problems, in the order of their lines."""
+    """Error that lists all of a subject's problems in the order of their lines, command-line overrides last.
+
+    subject : beginning of the error's text, e.g. the path of the config
+    """
     ordered = sorted(problems, key=lambda p: (p.override, p.line is None, p.line or 0))
     lines = [f"{subject} has {counted(len(ordered), 'error')}:", *(fill(str(each), "  ", "    ") for each in ordered)]
     return ConfigError("\n".join(lines), ordered)
 
 
 def shorten(value: object) -> str:
-    """A value as TOML writes it, cut where it is long."""
+    """A value as TOML writes it, cut to 40 characters."""
     if isinstance(value, str):
         return json.dumps(cut(value, _LONGEST), ensure_ascii=False)
     if isinstance(value, bool):
@@ -79,7 +82,10 @@ def shorten(value: object) -> str:
 
 
 def nearest(name: object, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The known name that `name` most likely means, if it is a text and any is alike enough, up to 1."""
+    """The known name most similar to `name` in lower case; None where no name is similar enough, or `name` is no text.
+
+    cutoff : least similarity, from 0 to 1, as in `difflib.get_close_matches`
+    """
     if not isinstance(name, str):
         return None
     return next(iter(difflib.get_close_matches(name[:100].lower(), known, n=1, cutoff=cutoff)), None)

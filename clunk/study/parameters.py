@@ -1,8 +1,9 @@
-"""Parameters: the keys that measure something, by their dotted names; they can be swept, drawn, read and replaced.
+"""Parameters: the numeric keys of a config that have a quantity; they can be swept, drawn, read and replaced.
 
-Items of a list go by number from 1, inertias and lashes also by name: ``driveline.inertias[ring]``. The loaded inertia
-and the inertia of the severity are among them, by number. ``solver.max_events`` is not: it is a limit, not physics.
-Neither are the ends of shafts and lashes: another topology is another study.
+A parameter is named by its dotted key. Items of a list are numbered from 1; inertias, shafts and lashes may be given by
+name instead: ``driveline.inertias[ring]``. The numbers of the loaded inertia and of the severity's inertia are
+parameters, too. ``solver.max_events`` is none, since it is a limit and not physics. Neither are the ends of shafts and
+lashes, since another topology is another study.
 """
 
 import functools
@@ -18,16 +19,16 @@ from clunk.study.models import NOT_OF_A_RUN, Config, lash_name
 from clunk.study.sweeps import Draw
 from clunk.study.tables import OTHER_UNITS, Quantity
 
-_NAMED_ITEMS = 100  # of a list, among which a misspelt parameter is looked for
+_NAMED_ITEMS = 100  # most items of a list that `parameters` enumerates
 
 
-Names = Mapping[str, Sequence[Any]]  # of the items of driveline.inertias, driveline.shafts and lash
+Names = Mapping[str, Sequence[Any]]  # "driveline.inertias", "driveline.shafts", "lash" -> names of the items
 
 
 def place_of(parameter: str, names: Names) -> Place | None:
-    """Place that a dotted key names, a name in brackets resolved; None where it is malformed, or there is no such name.
+    """Place of a dotted key, with item names resolved to positions; None where it is malformed or a name is unknown.
 
-    The only lash may be numbered or named, too: ``lash[1].radius`` is then ``lash.radius``.
+    A single lash may be numbered or named all the same: ``lash[1].radius`` is then ``lash.radius``.
     """
     place = parse_place(parameter) or ()
     for k, step in enumerate(place):
@@ -54,7 +55,10 @@ def names_of(document: Any) -> Names:
 
 
 def parameters(document: Any) -> list[str]:
-    """The parameters of a document or a config, given or left out; of long lists the first."""
+    """Dotted keys of the parameters that a document or a config can have, with or without a value.
+
+    Of a list only the first `_NAMED_ITEMS` items are among them.
+    """
     known = []
     for pattern, key in keys().items():
         places: list[Place] = [()] if key.quantity is not None else []
@@ -65,7 +69,7 @@ def parameters(document: Any) -> list[str]:
 
 
 def spellings(document: Any) -> dict[str, str]:
-    """The parameters of a document or a config, by each way to write them: with numbers of items, or with names."""
+    """Spellings of the parameters of a document or a config, with numbers or names of items -> the parameter."""
     known = parameters(document)
     written = {parameter: parameter for parameter in known}
     for listed, names in names_of(document).items():
@@ -79,13 +83,16 @@ def spellings(document: Any) -> dict[str, str]:
 
 
 def numbered(parameters: Iterable[str], document: Any) -> list[str]:
-    """Parameters as a sweep writes them, with numbers of items in the place of names; unknown ones as they are."""
+    """Parameters with item names replaced by numbers, as in the axes of a sweep; unknown ones unchanged."""
     written = spellings(document)
     return [written.get(parameter, parameter) for parameter in parameters]
 
 
 def _steps(value: Any, step: str | int) -> Sequence[str | int]:
-    """Steps from a value by which a place can go on: into the items of a list, or to a key of a table."""
+    """Steps by which a place can continue from a value along a pattern: positions for `ITEM`, else the key itself.
+
+    There are none for a key where the value is a list with items.
+    """
     items = items_of(value)
     if step == ITEM:
         return range(min(len(items), _NAMED_ITEMS))
@@ -100,7 +107,7 @@ def parameter_at(parameter: str, document: Any) -> tuple[Place, Key]:
     ConfigError
         Where there is no such parameter.
     """
-    place = place_of(parameter, names_of(document) if "[" in parameter else {}) or ()  # a table, which has no quantity
+    place = place_of(parameter, names_of(document) if "[" in parameter else {}) or ()  # (): a table without quantity
     key = key_at(place)
     if key is not None and key.quantity is not None and _is_there(place, document):
         return place, key
@@ -113,7 +120,10 @@ def parameter_at(parameter: str, document: Any) -> tuple[Place, Key]:
 
 
 def _is_there(place: Place, document: Any) -> bool:
-    """Whether a number has a place in a document, as far as that has the lists and tables around it."""
+    """Whether a document can hold a number at a place, whose lists and tables it may leave out.
+
+    It cannot where a list lacks the item, or where the value at the place, or a table on the way, is a list instead.
+    """
     value = document
     for step in (*place, ""):
         count = len(items_of(value))
@@ -137,7 +147,7 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
 
 
 def distinct(config: Config, keys: Iterable[str]) -> tuple[str, ...]:
-    """Dotted keys as the config has them. Raises ConfigError where it has no such key, or one is given twice."""
+    """Dotted keys with item names replaced by numbers. Raises ConfigError where a key is unknown or given twice."""
     known = tuple(dotted(located(config, key)[0]) for key in keys)
     if len({*known}) < len(known):
         raise ConfigError(f"One of these keys is given twice: {', '.join(known)}.")
@@ -145,7 +155,9 @@ def distinct(config: Config, keys: Iterable[str]) -> tuple[str, ...]:
 
 
 def with_values(config: Config, values: Mapping[str, Any]) -> tuple[Document, dict[Place, str]]:
-    """Tables of a config's run with other values of some parameters, and the parameters by their places.
+    """Tables of one run of a config with other values of some parameters; and place -> parameter of these.
+
+    The tables of sweep, fit and optimisation are left out.
 
     Raises
     ------
@@ -155,7 +167,7 @@ def with_values(config: Config, values: Mapping[str, Any]) -> tuple[Document, di
     document, parameter_at = config.model_dump(exclude=NOT_OF_A_RUN), {}
     for parameter, value in values.items():
         place, key, _ = located(config, parameter)
-        plain = value.item() if hasattr(value, "item") else value  # no scalar of numpy
+        plain = value.item() if hasattr(value, "item") else value  # numpy scalars become Python numbers
         is_whole = key.whole and isinstance(plain, float) and plain.is_integer()
         document = with_value(document, place, int(plain) if is_whole else plain)
         parameter_at[place] = parameter
@@ -163,10 +175,11 @@ def with_values(config: Config, values: Mapping[str, Any]) -> tuple[Document, di
 
 
 def drawn_numbers(config: Config, draws: Sequence[Draw]) -> list[Floats]:
-    """Numbers that the sweep's sampling draws for each of these, (count,) each: values, factors or offsets."""
+    """Numbers that the sweep's sampling draws for each of these draws, (count,) each: values, factors or offsets."""
     if not draws:
         return []
-    swept = {axis.parameter for axis in config.swept.axes}  # nothing is drawn around these
+    # tolerances of swept keys are factors or offsets, which need no nominal value
+    swept = {axis.parameter for axis in config.swept.axes}
     points = zip(draws, config.swept.sampling.points(len(draws)).T, strict=True)
     return [
         draw.quantiles(each, math.nan if draw.parameter in swept else nominal_value(config, draw.parameter))
@@ -177,7 +190,13 @@ def drawn_numbers(config: Config, draws: Sequence[Draw]) -> list[Floats]:
 def with_draws(
     config: Config, values: Mapping[str, Floats], draws: Sequence[Draw], numbers: Iterable[Floats]
 ) -> dict[str, Floats]:
-    """Values of parameters after draws, one after the other: of a key without any, on its nominal value."""
+    """Values of parameters after draws have been applied in order.
+
+    A draw acts on the key's value so far: at first that in `values`, or else the nominal value of the config.
+
+    values : parameter -> values, in its key's unit
+    numbers : of each draw, values, factors or offsets, see `drawn_numbers`
+    """
     drawn = dict(values)
     for draw, each in zip(draws, numbers, strict=True):
         around = drawn.get(draw.parameter, nominal_value(config, draw.parameter))
@@ -186,7 +205,7 @@ def with_draws(
 
 
 def nominal_value(config: Config, parameter: str) -> float:
-    """The value of a parameter, in its own unit; NaN where it has none in this config.
+    """The value of a parameter in a config, in its key's unit; NaN where the config gives none.
 
     Raises
     ------
@@ -198,7 +217,7 @@ def nominal_value(config: Config, parameter: str) -> float:
 
 @functools.lru_cache(maxsize=1024)
 def quantity(parameter: str) -> Quantity:
-    """Name, symbol and unit of what a parameter measures; the unit is one that udunits reads.
+    """Quantity of a parameter: name and symbol with the numbers of its items, and unit in the notation of udunits.
 
     Raises
     ------

@@ -1,11 +1,11 @@
-"""Records: what an analysis or a command tells, said once, for people and for scripts.
+"""Records: results of an analysis or a command, declared once and rendered for people and for scripts.
 
-A record is a frozen dataclass derived from `Record`, whose fields (`told`) and properties (`tells`) say under which
-heading, in which unit and in which format they are told. From that follow its text for 80 columns (`text_of`), its JSON
-(`plain`) and its repr. Values may be numbers, texts, dictionaries, records, and sequences of these.
+A record is a frozen dataclass derived from `Record`. Its fields made by `told` and its properties decorated by `tells`
+carry a heading, a unit and a number format (`Told`); only these are rendered: as text for 80 columns (`text_of`), as
+JSON (`plain`) and as repr. Values may be numbers, texts, dictionaries, records, and sequences of these.
 
-In a text, sentences come first (`SENTENCE` stands in the place of their heading), then single values, a line each, and
-then records and tables of records, each under its heading. What has no heading is for scripts alone.
+In a text, sentences come first (their heading is `SENTENCE`), then single values, a line each, and then records and
+tables of records, each under its heading. Values without a heading are for scripts alone.
 """
 
 import math
@@ -22,18 +22,18 @@ Rows = Sequence[tuple[str, str]]
 Getter = TypeVar("Getter", bound=Callable[[Any], Any])
 
 _LEFT = ' style="text-align: left"'  # browsers centre the headings of tables
-_MOST_BESIDE = 0.7  # of the width, that is taken by all columns but the widest
-_MOST = 30  # rows of a table in a text; scripts get all
+_MOST_BESIDE = 0.7  # largest share of a table's width for all columns but the widest
+_MOST = 30  # most rows of a table in a text; JSON has all rows
 
 
 @dataclass(frozen=True)
 class Told:
-    """Heading, unit and format of a value.
+    """Heading, unit and format of a value of a record.
 
     heading : for people; empty where the value is for scripts alone
     unit : as people write it; empty where there is none
-    form : format of a number
-    key : for scripts, where that is not the name of the field
+    form : format specification of a number, e.g. ``.3f``
+    key : name in JSON; empty where it is the name of the field or property
     """
 
     heading: str = ""
@@ -43,12 +43,12 @@ class Told:
 
 
 def told(*how: str, **named: str) -> Any:
-    """A field of a record that is told, as `Told` says."""
+    """A field of a record that is rendered; the arguments are those of `Told`."""
     return field(metadata={"told": Told(*how, **named)})
 
 
 def tells(*how: str, **named: str) -> Callable[[Getter], Getter]:
-    """Decorate the getter of a record's property that is told, as `Told` says."""
+    """Decorate the getter of a record's property that is rendered; the arguments are those of `Told`."""
 
     def decorate(getter: Getter) -> Getter:
         getter.__dict__["told"] = Told(*how, **named)
@@ -68,7 +68,7 @@ class Record:
         dataclass(frozen=True, **options)(cls)
 
     def told(self) -> Iterator[tuple[str, Told, Any]]:
-        """Name, description and value of everything that is told: fields and then properties."""
+        """Yield name, `Told` and value of everything that is rendered: fields, then properties."""
         for each in fields(self):  # type: ignore[arg-type]  # records are dataclasses
             if "told" in each.metadata:
                 yield each.name, each.metadata["told"], getattr(self, each.name)
@@ -77,7 +77,7 @@ class Record:
                 yield name, vars(member.fget)["told"], getattr(self, name)
 
     def rows(self) -> Rows:
-        """Heading and text of each single value for people."""
+        """Heading and text of each single value for people, without sentences, tables and empty values."""
         return [
             (each.heading, words(value, each))
             for _, each, value in self.told()
@@ -92,12 +92,12 @@ Row = Record | Mapping[str, Any] | tuple[str, Record | Mapping[str, Any]]
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: None for NaN and infinities, lists for tuples and arrays, text for dates and times."""
+    """A value in JSON's types: None for NaN and infinities, lists for tuples and arrays, text for any other object."""
     if isinstance(value, Record):
         return {each.key or name: plain(inner) for name, each, inner in value.told()}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # arrays and scalars of numpy, whose import --help does not wait for
+    if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy, which would slow --help
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
@@ -142,7 +142,7 @@ def _has_tables(value: Any) -> bool:
 
 
 def value_lines(rows: Iterable[tuple[str, str]], width: int = WIDTH) -> Iterator[str]:
-    """Headings and texts, a line each, the texts below each other."""
+    """Yield a line for each heading and text, wrapped to a width, with the texts aligned in one column."""
     rows = list(rows)
     indent = max((len(heading) for heading, _ in rows), default=0) + 2
     for heading, text in rows:
@@ -150,10 +150,13 @@ def value_lines(rows: Iterable[tuple[str, str]], width: int = WIDTH) -> Iterator
 
 
 def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterator[str]:
-    """Rows as columns two blanks apart, indented by two; numbers to the right. A row may have a name before it.
+    """Yield the lines of a table: columns two blanks apart, indented by two, numbers aligned to the right.
 
-    Of rows that are too wide the widest column comes last, or, where the others are wide, too, they are told one after
-    the other.
+    A row is a record, a dictionary, or a tuple of a name and one of these; the name is the first column. In a table
+    that is too wide the widest column comes last and is wrapped. If the other columns take more than `_MOST_BESIDE` of
+    the width, each row becomes a wrapped list of ``heading: text``.
+
+    most : rows that are shown; a last line counts the others
     """
     shown = rows[:most]
     columns = [*zip(*columns_of(shown), strict=True)]
@@ -180,7 +183,7 @@ def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterato
 
 
 def columns_of(rows: Sequence[Row]) -> list[list[str]]:
-    """Texts of a table, the headings first; what a dictionary in a row has takes columns of its own."""
+    """Lists of texts of a table: headings, then each row; a dictionary in a row has one column for each key."""
     texts = []
     for row in rows:
         cells: dict[str, str] = {}
@@ -195,7 +198,7 @@ def columns_of(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def words(value: Any, how: Told = Told()) -> str:
-    """A single value for people, with its unit."""
+    """Text of a single value for people, with its unit; ``-`` for None, yes or no for a bool."""
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
         return ", ".join(f"{key} = {words(item, Told(form=how.form))}" for key, item in value.items())
@@ -215,23 +218,23 @@ def words(value: Any, how: Told = Told()) -> str:
 
 
 def number(value: float, form: str = ".6g") -> str:
-    """A number in a format, - where it is not defined."""
+    """A number in a format; ``-`` for NaN."""
     return "-" if math.isnan(value) else f"{value:{form}}"
 
 
 def fill(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> str:
-    """Wrap a text to a width, by default a terminal's; its first line and the rest with these indents."""
+    """Wrap a text to a width, by default `WIDTH`; `first` and `rest` indent the first and the other lines."""
     return _Wrapper(width, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False).fill(text)
 
 
 class _Wrapper(textwrap.TextWrapper):
-    """Wraps labels of regimes between the groups of their impacts."""
+    """Text wrapper that can also break a regime label between its groups, as DS(1)|SS(2)."""
 
     wordsep_simple_re = re.compile(r"(\s+|(?<=\))(?=[A-Z]{2}\())")
 
 
 def _entries(row: Row) -> list[tuple[Told, Any]]:
-    """Headings and values of a row for people; of a dictionary all."""
+    """Headings and values of a row for people: all of a dictionary, those with a heading of a record."""
     if isinstance(row, tuple):
         return [(Told(), row[0]), *_entries(row[1])]
     if isinstance(row, Record):
@@ -244,14 +247,14 @@ def _is_number(text: str) -> bool:
 
 
 def _is_empty(value: Any) -> bool:
-    """Whether there is nothing to tell people."""
+    """Whether a value is left out of texts: None, empty text or list, and a dictionary whose counts are all 0."""
     if isinstance(value, Mapping):
-        return all(type(item) is int and not item for item in value.values())  # counts of nothing
+        return all(type(item) is int and not item for item in value.values())  # counts that are all 0
     return value is None or (isinstance(value, str | list | tuple) and not value)
 
 
 def _is_block(value: Any) -> bool:
-    """Whether a value has a heading of its own above it."""
+    """Whether a value is rendered as a block below its heading: a record, or a table of records or dictionaries."""
     if isinstance(value, Mapping):
         return any(isinstance(item, Mapping | Record) for item in value.values())
     is_table = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Record | Mapping)
@@ -262,30 +265,30 @@ def _is_block(value: Any) -> bool:
 
 
 def as_text(heading: str, rows: Rows) -> str:
-    """A heading and a line for each row."""
+    """A repr: heading in angle brackets, then a line for each pair of a name and a text."""
     lines = "\n".join(value_lines(rows, WIDTH - 2))
     return f"<{cut(heading, WIDTH - 2)}>\n{textwrap.indent(lines, '  ')}"
 
 
 def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
-    """A table whose texts, which may be anyone's, are escaped."""
+    """HTML of a table; its texts may come from a config or a file, and are escaped."""
     head = "".join(f"<th{_LEFT}>{escape(text)}</th>" for text in header)
     body = "".join(f"<tr>{''.join(f'<td{_LEFT}>{escape(text)}</td>' for text in row)}</tr>" for row in rows)
     return f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things, for example 1,024 cells."""
+    """A count with its noun, in the plural except for 1, for example ``1,024 cells``."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A name with its unit in brackets, e.g. ``severity [rad/s²]``; alone where there is none, or ``1``."""
+    """A name with its unit in brackets, e.g. ``severity [rad/s²]``; the name alone where the unit is empty or ``1``."""
     return f"{name} [{unit}]" if unit not in ("", "1") else name
 
 
 def percent(part: int, whole: int) -> str:
-    """A share in percent, which never reads as none or all where it is not."""
+    """A share in percent, with bounds such as ``less than 0.01 %`` where rounding would read as none or all."""
     share = 100.0 * part / whole
     if 0 < share < 0.01:
         return "less than 0.01 %"
@@ -300,5 +303,5 @@ def capital(text: str) -> str:
 
 
 def cut(text: str, width: int) -> str:
-    """A text of at most `width` characters, the last of them … where it was longer."""
+    """A text cut to `width` characters; the last one is … where the text was longer."""
     return text if len(text) <= width else text[: width - 1] + "…"

@@ -1,7 +1,7 @@
-"""Rules that tie keys of different tables to one another, for configs whose tables are sound by themselves.
+"""Rules that tie keys of different tables to one another, for configs whose tables are each valid.
 
-Some hold for each run. They are tried on the config itself, and then at the least and greatest values that its sweep,
-draws, fit and optimisation give to keys, one key and two keys at a time.
+Rules that each run must keep are checked on the config itself, and then at the extreme values that sweep, draws, fit
+and optimisation give to keys: one key at a time, and those of sweep and draws also two at a time.
 """
 
 import math
@@ -22,7 +22,8 @@ from clunk.study.parameters import drawn_numbers, located, nominal_value, with_v
 from clunk.study.sweeps import Draw
 from clunk.study.tables import Finding, Findings, Table, misnamed
 
-# Names in results files and of quantities, all of results/quantities.csv among them, that no measure can have
+# Names that no measure can have: variables and dimensions of a regime map's file, and quantities of runs, as
+# results/quantities.csv lists them
 _TAKEN = {
     *("sequence", "severity", "approach_velocity", "primary_impacts", "touches", "last_event_time", "status"),
     *("quality", "initial_side", "margin", "impact_time", "impact_flank", "impact_closing_speed", "impact_severity"),
@@ -30,8 +31,8 @@ _TAKEN = {
     *("regimes", "label", "double_sided", "single_sided", "opposite_sided", "crossed", "chatter", "nominal_label"),
     *("double_sided_impacts", "run", "impact", "lash"),
 }
-_OF_BOUNDARIES = "boundary", "junction", "region", "ring", "unresolved"  # with these begin those of traced lines
-# Tables of what is swept, drawn, fitted and free, with how they are told
+_OF_BOUNDARIES = "boundary", "junction", "region", "ring", "unresolved"  # prefixes of boundaries' variables
+# Tables of swept, drawn, fitted and free keys -> phrase for messages
 _VARIED: dict[tuple[str, str], str] = {
     ("sweep", "axes"): "swept by",
     ("sweep", "samples"): "drawn by",
@@ -39,17 +40,18 @@ _VARIED: dict[tuple[str, str], str] = {
     ("fit", "parameters"): "fitted by",
     ("optimize", "parameters"): "free as",
 }
-MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
-MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
-MOST_REGIMES = 30_000  # of one driveline, which take some 5 s to prepare
-# Of one driveline: four digits of an inertia, and six of a spring, are left where they add up. Soft modes have none
-# beside springs that are a hundred times as stiff as that.
+MOST_STEPS = 1e9  # time steps of one run by rk4; the stepping alone takes about ten seconds
+MOST_PERIODS = 1e6  # periods of the load in one run; the exact method takes some steps in each
+MOST_REGIMES = 30_000  # regimes of one driveline; as many take some 5 s to prepare
+# Largest ratio of two inertias and of two stiffnesses in one driveline. Where these are added, double precision leaves
+# four digits of the smallest inertia and six of the softest spring. Soft modes have no digits left beside springs that
+# are a hundred times as stiff as the limit.
 WIDEST_OF_INERTIAS, WIDEST_OF_SPRINGS = 1e12, 1e10
-FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
+FASTEST_RATE = 1e12  # 1/s, largest sqrt(k/J) and c/J on the lightest inertia; atoms vibrate ten times faster
 
 
 def broken_rules(config: Config) -> list[Finding]:
-    """Findings of all rules on a config; values of swept and drawn keys are only looked at where nothing is wrong."""
+    """Findings of all rules on a config; extreme values of varied keys are only tried if these find nothing."""
     return [*_of_a_run(config), *_varied(config), *_measured(config)] or [*_reached(config)]
 
 
@@ -60,7 +62,10 @@ def _of_a_run(config: Config) -> Findings:
 
 
 def complaint(parameter: str, config: Config) -> str | None:
-    """Reason why a key cannot be swept; None where it can. Of the load, its profile must have it, in these torques."""
+    """Reason why a key cannot be swept, drawn, fitted or free; None where it can.
+
+    A key of the load must be one that its profile uses, and a torque one of the pair that the config gives.
+    """
     try:
         located(config, parameter)
     except ConfigError as error:
@@ -95,13 +100,14 @@ def _lashes(config: Config) -> Findings:
 def count_of_regimes(config: Config) -> int:
     """Number of combinations of the states of lashes, staged shafts and frictions."""
     states = 1
-    for contact in (lash.contact for lash in config.lashes):  # open or on a flank, which by force may overlap unpressed
+    # open or on either flank; with separation by force, also overlapping on either without contact force
+    for contact in (lash.contact for lash in config.lashes):
         states *= 5 if contact.model == "indentation" and contact.separation == "force" else 3
     return states * 3 ** _frictions(config) * _stages(config)  # a friction sticks or slips either way
 
 
 def count_of_flows(config: Config) -> int:
-    """Number of these that differ in which springs act and which parts move together."""
+    """Number of regimes with different flows: contact springs that act, frictions that stick, and stages of shafts."""
     return 2 ** (len(config.lashes) + _frictions(config)) * _stages(config)
 
 
@@ -116,7 +122,7 @@ def _stages(config: Config) -> int:
 def _limits(config: Config) -> Findings:
     """Require a run of at least one step by rk4, and no more steps, periods of the load and regimes than can be run."""
     end, frequency = config.solver.end_time, config.load.frequency or 0.0
-    step = config.solver.step if config.solver.method == "rk4" else end  # exact takes none
+    step = config.solver.step if config.solver.method == "rk4" else end  # the exact method has no time step
     limits = (
         (step, end, ("solver", "step"), "a step of {:g} s is longer than the run, end_time = {:g} s"),
         (end / step, MOST_STEPS, ("solver", "step"), "a run has {:.2g} steps; at most {:g} are allowed"),
@@ -163,7 +169,10 @@ def _sizes(config: Config) -> Findings:
 
 
 def _measured(config: Config) -> Findings:
-    """Require names that differ, and parts that there are; and no acceleration that an impulse makes infinite."""
+    """Require distinct names that files do not use, parts that exist, and quantities that stay finite.
+
+    Under the restitution model a touch makes contact torques and accelerations at the lashes infinite.
+    """
     names = [measure.name for measure in config.measures]
     taken = _TAKEN | {variable_of(axis.parameter) for axis in config.swept.axes}
     for k, measure in enumerate(config.measures):
@@ -202,13 +211,17 @@ def varied_tables(config: Any) -> list[tuple[Place, Any]]:
 
 
 def _varied(config: Config) -> Findings:
-    """Require that what is swept, drawn, fitted or free is a parameter, in one place only."""
+    """Require parameters that can be swept, drawn, fitted or free, each in one table entry only.
+
+    One key may have a factor and an offset, and in a fit also a value. A share of drawn drivelines (optimize.robust)
+    needs tolerances.
+    """
     swept = parameters_of(config.swept.axes)
     for table, verb in _VARIED.items():
-        taken: dict[str, dict[str, Place]] = {}  # key -> what is drawn of it -> where
+        taken: dict[str, dict[str, Place]] = {}  # key -> "value", "factor" or "offset" -> place of the entry
         for k, entry in enumerate(items_of(value_at(config, table))):
             at = (*table, k)
-            # a factor and an offset of a key act one after the other, in a fit on a value, too
+            # a factor and an offset of a key act one after the other; in a fit also on a value that is fitted
             draws = getattr(entry, "draws", "value") if table != ("sweep", "samples") else "value"
             for parameter in entry.keys:
                 text = complaint(parameter, config)
@@ -234,7 +247,7 @@ def _undrawable(
     _, key, value = located(config, parameter)
     if key.whole:
         return f"{parameter} is an inertia's number, which cannot be drawn"
-    needs_value = True  # of the run as it is
+    needs_value = True  # for the run without sweep, fit and optimisation
     if not isinstance(entry, FreeParameter):
         if is_swept and table[1] == "samples":
             return f"{parameter} is swept already"
@@ -252,11 +265,11 @@ def _undrawable(
 
 
 class Given(NamedTuple):
-    """A value that something in a config gives to a key.
+    """A value that a table of the sweep, the fit or the optimisation gives to a key.
 
     value : [unit of the key]
-    at : place in the config of what gives it
-    words : of key and value, for people
+    at : place of the table, or of a key in it, in the config
+    words : phrase on key and value for messages
     """
 
     value: float
@@ -264,13 +277,13 @@ class Given(NamedTuple):
     words: str
 
 
-Case = dict[str, Given]  # by parameter
+Case = dict[str, Given]  # parameter -> value; one run with other values of some keys
 
 
 def _reached(config: Config) -> Findings:
-    """Require the rules of a run where swept, drawn, fitted and free keys have their least and greatest values.
+    """Yield findings of the rules of a run where a swept, drawn, fitted or free key has an extreme value.
 
-    Of swept and drawn keys every two have theirs together, too.
+    Extreme values of every two swept or drawn keys are also tried together. An axis, draw or parameter has one at most.
     """
     together = [*_cases_of_sweep(config)]
     pairs = (one | other for first, second in combinations(together, 2) for one, other in product(first, second))
@@ -283,7 +296,7 @@ def _reached(config: Config) -> Findings:
 
 
 def _broken_at(case: Case, config: Config) -> Finding | None:
-    """The first rule that a run breaks in which some keys have other values."""
+    """First finding on a run with the values of a case, at the place that gives the value; None where all is right."""
     document, parameter_at = with_values(config, {parameter: given.value for parameter, given in case.items()})
     run, findings = validated(Config, document)
     broken, text = next(iter(findings if run is None else _of_a_run(run)), (None, ""))
@@ -295,10 +308,13 @@ def _broken_at(case: Case, config: Config) -> Finding | None:
 
 
 def _extremes(config: Config, columns: Mapping[str, Floats]) -> list[int]:
-    """Positions of the extremes of keys whose values, (n,) by parameter, go together.
+    """Positions of the extremes of keys that change together.
 
-    These are the least and the greatest value of each, that nearest to zero, and of a whole number one that is none;
-    and of each two keys the extremes of their difference, as two times may not change places.
+    These are the least and the greatest value of each key and the one nearest to zero; of a key of whole numbers, the
+    value with the largest fractional part; and of every two keys the extremes of their difference, since two times may
+    not change their order.
+
+    columns : parameter -> (n,) float64, in its key's unit
     """
     extremes = [*columns.values(), *(one - other for one, other in combinations(columns.values(), 2))]
     positions = [int(at) for each in extremes for at in (each.argmin(), each.argmax(), abs(each).argmin())]
@@ -307,9 +323,9 @@ def _extremes(config: Config, columns: Mapping[str, Floats]) -> list[int]:
 
 
 def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
-    """Extreme cases of each axis and drawn key, of axes that are walked together all at once.
+    """Yield the list of extreme cases of each axis, or of all axes of a zip design together, then of each drawn key.
 
-    The sample is known beforehand.
+    Drawn keys are tried at the extremes of the sweep's own sample, which its seed determines.
     """
     sweep = config.swept
     columns = {axis.parameter: axis.grid for axis in sweep.axes}
@@ -337,9 +353,10 @@ def _cases_of_sweep(config: Config) -> Iterator[list[Case]]:
 
 
 def _cases_of_searches(config: Config) -> Iterator[Case]:
-    """The ends of what a fit and an optimisation allow.
+    """Yield a case for each end of a fit's priors and of an optimisation's free parameters.
 
-    A measured key's factor or offset acts on measured values, which are not known here.
+    A prior is tried around the key's nominal value only: in a fit, a factor or an offset of a measured key acts on the
+    measured values, which are not known here.
     """
     for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
         nominal = nominal_value(config, prior.parameter)
@@ -356,13 +373,16 @@ def _cases_of_searches(config: Config) -> Iterator[Case]:
 # --- Numbers that cannot be meant ------------------------------------------------------------------------------------
 
 
-LARGEST_RADIUS = 10.0  # m; the gears of mills and radio telescopes have some meters
-DEEPEST = 6.28  # rad, a whole turn, of flanks pressed together by the load: of gears it is some 1e-3
-LONGEST_CHANGE = 20.0  # times the run, that all loads but tables may take to change: less than 5 % of it are seen then
+LARGEST_RADIUS = 10.0  # m; gears of mills and radio telescopes have radii of some meters
+DEEPEST = 6.28  # rad, a whole turn; overlap of flanks under the load that is still plausible; gears have some 1e-3
+LONGEST_CHANGE = 20.0  # end times that a load's change may take, except a table's; a run then shows 5 % of it
 
 
 def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
-    """Sentences on what is odd in a config; given : keys of its load that a user has given, by name."""
+    """Yield sentences on values in a config that are allowed but implausible.
+
+    given : names of the keys of [load] that the user has given
+    """
     swept = {axis.parameter for axis in config.swept.axes}
     for place, lash in config.placed_lashes:
         radius = dotted((*place, "radius"))
@@ -380,7 +400,7 @@ def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
     load = config.load
     for key in sorted(given):
         users = _users(key)
-        is_default = getattr(load, key) == Load.model_fields[key].default  # as of a resolved config
+        is_default = getattr(load, key) == Load.model_fields[key].default  # a resolved config gives defaults, too
         if users and not uses(load.profile, key) and not is_default:
             yield f"load.{key} is given, but a load of profile {shorten(load.profile)} has none; {users} would use it"
     times = {"load.duration", "load.time_constant", "load.times", "solver.end_time"}
@@ -392,7 +412,7 @@ def doubts(config: Config, given: Collection[str]) -> Iterator[str]:
 
 
 def _largest_torque(load: Load) -> float:
-    """The larger of the torques before and after, or the largest of a table  [N m]."""
+    """Larger magnitude of the torques before and after the load step, or the largest of a table  [N m]."""
     if load.profile == "table":
         return abs(load.scale) * max(map(abs, load.torques or (0.0,)))
     if load.ratio is not None and load.static_torque is not None:
@@ -401,7 +421,7 @@ def _largest_torque(load: Load) -> float:
 
 
 def _time_of_change(load: Load) -> float:
-    """Time until which a load changes  [s]; 0 of a profile that has none, and of a table that does not."""
+    """Time in which a load changes, of a lag its time constant  [s]; 0 of other profiles and of a constant table."""
     if load.profile == "table" and load.times and load.torques:
         changes = zip(load.times[1:], pairwise(load.torques), strict=True)
         return max((time for time, (one, other) in changes if one != other), default=0.0)

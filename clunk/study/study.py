@@ -22,7 +22,7 @@ from clunk.study.tables import Findings
 class Study(Config):
     """A config that has passed all rules: everything that decides what a run or a sweep computes.
 
-    Made by `load_study`, `study_from_text` and `replace_values`; built by hand, it is held to the same rules.
+    Made by `load_study`, `study_from_text` and `replace_values`; a study built by hand is validated by the same rules.
     """
 
     def contradictions(self) -> Findings:
@@ -55,13 +55,13 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def takes_study(function: Function) -> Function:
-    """Decorate a function whose first argument is a study: anything else raises a ClunkError."""
+    """Decorate a function whose first argument is a study, so that any other argument raises a ClunkError."""
 
     @wraps(function)
     def checked(study: Study, *rest: Any, **options: Any) -> Any:
         if not isinstance(study, Study):
-            found = type(study).__name__
-            raise ClunkError(f"{function.__name__} takes a study, not a {found}; clunk.load_study(path) reads one.")
+            type_name = type(study).__name__
+            raise ClunkError(f"{function.__name__} takes a study, not a {type_name}; clunk.load_study(path) reads one.")
         return function(study, *rest, **options)
 
     return cast(Function, checked)
@@ -69,12 +69,14 @@ def takes_study(function: Function) -> Function:
 
 @takes_study
 def replace_values(study: Study, values: Mapping[str, float]) -> Study:
-    """The study with other values, each in its parameter's unit; its sweep and fit are left alone.
+    """The study with other values of some parameters; its sweep, fit and optimisation stay as they are.
+
+    values : parameter -> value, in its key's unit
 
     Raises
     ------
     ConfigError
-        Where a value is not allowed, by the rules of a config file.
+        Where a parameter does not exist, or a value breaks the rules of a config file.
 
     Examples
     --------
@@ -88,7 +90,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
 
 
 def study_of_document(document: Document) -> Study:
-    """The study of plain tables, lists and values. Raises ConfigError where a config may not hold these."""
+    """Validate a study given as plain tables, lists and values. Raises ConfigError where they break a rule."""
     study, findings = validated(Study, document)
     if study is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
@@ -96,7 +98,7 @@ def study_of_document(document: Document) -> Study:
 
 
 def content(study: Study) -> Document:
-    """A study as plain tables, lists and values, without what has no value."""
+    """A study as plain tables, lists and values, without keys that are None and empty tuples of the sweep."""
     plain = study.model_dump(exclude_none=True)
     if study.sweep is not None:
         plain["sweep"] = {key: value for key, value in plain["sweep"].items() if value != ()}
@@ -104,14 +106,15 @@ def content(study: Study) -> Document:
 
 
 def to_toml(study: Study) -> str:
-    """TOML of the whole config: preset expanded, names resolved, defaults filled in. Loaded, it is an equal study."""
+    """TOML of the whole config: preset expanded, names resolved, defaults filled in. It loads as an equal study."""
     return tomli_w.dumps(content(study))
 
 
 def decisive_content(study: Study) -> Document:
-    """The part of a study that decides the results: physics, solver and sweep; not the title, names, lines or a fit.
+    """The part of a study that decides the results: physics, solver, measures and sweep.
 
-    A swept key's own value does not count, since no cell has it: it is None.
+    Left out are the title, the tables of a fit and an optimisation, sweep.boundaries, and all names but those of lashes
+    and shafts that measures refer to. The config's value of a swept key is None, since no cell has it.
     """
     decisive = content(study)
     del decisive["title"]
@@ -119,7 +122,7 @@ def decisive_content(study: Study) -> Document:
         decisive.pop(table, None)
     decisive.get("sweep", {}).pop("boundaries", None)
     decisive["driveline"].pop("names", None)
-    measured = {each.of for each in study.measures}  # by their names
+    measured = {each.of for each in study.measures}  # names of lashes and shafts among them
     for named in (*(items_of(decisive["lash"]) or [decisive["lash"]]), *decisive["driveline"]["shafts"]):
         if named.get("name") not in measured:
             named.pop("name", None)
@@ -131,5 +134,5 @@ def decisive_content(study: Study) -> Document:
 def digest(study: Study) -> str:
     """SHA-256 of everything that decides the results."""
     canonical = json.dumps(decisive_content(study), sort_keys=True, separators=(",", ":"), allow_nan=False)
-    canonical = re.sub(r"-0\.0(?=[,\]}])", "0.0", canonical)  # zeros are equal, whatever their signs
+    canonical = re.sub(r"-0\.0(?=[,\]}])", "0.0", canonical)  # zeros of either sign are equal
     return hashlib.sha256(canonical.encode("utf-8")).hexdigest()

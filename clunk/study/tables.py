@@ -26,18 +26,21 @@ from clunk.study.errors import listing, nearest, shorten
 
 Finding = tuple[Place, str]  # a place, and what is wrong there
 Findings = Iterator[Finding]
-LONGEST_AXIS = 10_000_000  # values; known before any array is made
-MOST_DRAWS = 1_000_000  # of a sample
-LARGEST_SIZE = 1e30  # of numbers, and the smallest of positive ones is its inverse
-OTHER_UNITS = {"gap_mm": "backlash_deg", "stiffness_per_deg": "stiffness"}  # keys, and those that they become
-ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
+LONGEST_AXIS = 10_000_000  # values; checked before any array is made
+MOST_DRAWS = 1_000_000  # draws of a sample
+LARGEST_SIZE = 1e30  # largest magnitude of a number; its inverse is the smallest of positive and non-zero keys
+OTHER_UNITS = {"gap_mm": "backlash_deg", "stiffness_per_deg": "stiffness"}  # key in another unit -> key that it becomes
+ONE, SEVERAL = "<one number>", "<several numbers>"  # tags of a key's variants, only in locations of pydantic's errors
 One = TypeVar("One")
 Several = TypeVar("Several")
 Item = TypeVar("Item")
 
 
 def refusal(text: str, findings: Sequence[Finding] = ()) -> PydanticCustomError:
-    """Error of a validator; findings : what is wrong at places below the one that is validated, if not there."""
+    """Error that a validator raises.
+
+    findings : places below the validated value, each with what is wrong there; by default the text, at the value itself
+    """
     return PydanticCustomError("clunk", "{text}", {"text": text, "findings": findings or [((), text)]})
 
 
@@ -47,11 +50,11 @@ class Table(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     def contradictions(self) -> Findings:
-        """Yield what is wrong between keys that are sound by themselves, at places in this table."""
+        """Yield findings on keys that contradict one another although each is valid, at places in this table."""
         yield from ()
 
     def but(self, **values: Any) -> Self:
-        """The table with other values of these keys, which are not looked at."""
+        """A copy of the table with other values of these keys, which are not validated."""
         return self.model_copy(update=values)
 
     @model_validator(mode="after")
@@ -68,7 +71,7 @@ class Quantity:
     """Name, symbol and unit of what a numeric key measures; only such keys can be swept, drawn or replaced.
 
     name, symbol : for people, e.g. ``load ratio`` and ``σr = Td/Ts``; ``{}`` stands for an item's number
-    unit : as udunits reads it, ``1`` for none
+    unit : in the notation of udunits, ``1`` for none
     """
 
     name: str
@@ -86,10 +89,11 @@ def is_number(value: Any) -> bool:
 
 
 def converted(table: Any, key: str, target: str, convert: Callable[[float], float], highest: float = math.inf) -> Any:
-    """A table with a number of another unit converted into the key `target`.
+    """A table whose number, or list of numbers, in another unit is converted into the key `target`.
 
-    Where both keys are given the table stays as it is, to be refused. A number that cannot be converted, or is more
-    than the highest, stays beside a target that has no error of its own.
+    Where both keys are given the table is unchanged: its validation refuses them. A number that cannot be converted,
+    or is converted to more than `highest`, stays, so that the error is reported at its key; `target` is then 0, which
+    is valid.
     """
     if not isinstance(table, dict) or table.get(key) is None or table.get(target) is not None:
         return table
@@ -103,14 +107,14 @@ def converted(table: Any, key: str, target: str, convert: Callable[[float], floa
 
 
 def _one_line(text: str) -> str:
-    # control characters and broken Unicode can be written neither to a terminal nor to a results file
+    # control characters and lone surrogates can be written neither to a terminal nor to a results file
     if any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
         raise refusal(f"found {shorten(text)}; must be text on one line")
     return text
 
 
 def misnamed(names: Sequence[str | None], noun: str) -> Iterator[tuple[int, str]]:
-    """Yield the position of each name that a key could not tell from a number or from another name, and why."""
+    """Yield position and reason of each name that is empty, a number, "ground", taken, or has brackets in it."""
     for k, name in enumerate(names):
         if name is not None and (not name.strip() or name.isdigit() or set(name) & set("[]")):
             yield k, f"found {shorten(name)}; a name must not be empty, a number, or have brackets in it"
@@ -121,9 +125,12 @@ def misnamed(names: Sequence[str | None], noun: str) -> Iterator[tuple[int, str]
 
 
 def position_of(value: Any, count: int, names: Sequence[str | None], noun: str) -> int:
-    """Position of the item that is meant by a number from 1 to a count, or by a name.
+    """Position, from 0, of the item with a number from 1 to `count` or with a name.
 
-    Raises ValueError, with what is allowed, where there is none.
+    Raises ValueError where there is no such item; the text says what is allowed.
+
+    names : of the items, None for an item without a name
+    noun : what an item is called in the error's text
     """
     if type(value) is int and 1 <= value <= count:
         return value - 1
@@ -138,9 +145,12 @@ def position_of(value: Any, count: int, names: Sequence[str | None], noun: str) 
 
 
 def numbered_inertia(value: Any, info: ValidationInfo) -> Any:
-    """Number of an inertia that is given by number or name; names and inertias are in the context of validation."""
+    """Validate an inertia given by number or name, and return its number from 1.
+
+    The context of the validation is the table [driveline], with the inertias and their names.
+    """
     inertias, names = (items_of(value_at(info.context, (key,))) for key in ("inertias", "names"))
-    if type(value) is int and not inertias:  # these have an error of their own
+    if type(value) is int and not inertias:  # missing inertias are an error of their own
         return value
     try:
         return position_of(value, len(inertias), names, "inertia") + 1
@@ -161,7 +171,7 @@ def _not_zero(value: float) -> float:
 
 
 def _sizeable(value: float) -> float:
-    # double precision multiplies such numbers
+    # products of several such numbers stay within the range of double precision
     if value != 0.0 and not 1.0 / LARGEST_SIZE <= abs(value) <= LARGEST_SIZE:
         raise refusal(f"found {value:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
     return value
