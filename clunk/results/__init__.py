@@ -1,4 +1,4 @@
-"""Maps and their files: the quantities of a cell, the results file both ways, xarray datasets.
+"""Maps and their files: the quantities of a cell, writing and reading of results files, xarray datasets.
 
-Knows what a sweep found, not how it was run.
+This package knows the results of a sweep, not how it was run.
 """

@@ -1,6 +1,6 @@
 """Boundaries of a regime map: curves between two labels, junctions of three or four, and the regions in between.
 
-In a file they are ragged arrays as CF lays them out, with a number of vertices for each curve and ring.
+In a file they are CF's contiguous ragged arrays, with the number of vertices of each curve and ring.
 """
 
 from collections.abc import Mapping
@@ -24,10 +24,10 @@ EVENTS = (
     "sticking_time_reached",
     "end_time_reached",
 )
-NO_LABEL = -2  # in the place of a fourth label where three meet
+NO_LABEL = -2  # in the fourth column of `junction_labels` where only three labels meet
 UNKNOWN, OPPOSITE_FLANK, INITIAL_FLANK, STICKING_ENDS, STICKING_TIME, END_TIME = range(len(EVENTS))
 
-_FIRST = "boundary_vertices"  # in a file that has boundaries; it names the lash
+_FIRST = "boundary_vertices"  # in every file with boundaries; of several lashes its attribute `lash` names one
 _VARIABLES = (  # name, field of `Boundaries`, dimensions, description, meaning of its codes, dimension that it counts
     (_FIRST, "curve_counts", ("boundary",), "number of vertices", "", "boundary_vertex"),
     ("boundary_left", "curve_left", ("boundary",), "label on the left of the curve", "labels", ""),
@@ -51,8 +51,8 @@ class Curve(NamedTuple):
     """A curve between two labels.
 
     vertices : (n, 2), in the axes' units
-    left, right : label on either side on the way from the first vertex to the last
-    event : one of `EVENTS`, what changes the label
+    left, right : label on either side, seen along the curve from its first vertex to its last
+    event : one of `EVENTS`, at which the label changes
     """
 
     vertices: Floats
@@ -76,27 +76,28 @@ class Region(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Boundaries:
-    """The boundary network of a regime map over two axes, each vertex right to 1e-9 of its axis's range.
+    """The boundary network of a regime map over two axes, each vertex accurate to 1e-9 of its axis's range.
 
-    Where labels change so finely that a tracing's runs do not suffice, it is right to 1.3e-4 at least, or unresolved.
+    Where labels change so finely that the runs of the tracing do not suffice, a boundary is accurate to 1.3e-4 of the
+    map, or its place is listed in `unresolved`.
 
-    axes : of the map
-    labels : code -> label; first those of the map, then any that none of its cells has; the code -1 is `failed`
+    axes : the two axes of the map
+    labels : code -> label; first the map's labels, then those that none of its cells has; the code -1 is `failed`
     vertices : (V, 2) float64, in the axes' units, of one curve after the other
     curve_counts : (C,) int32, number of vertices of each curve
     curve_left, curve_right : (C,) int16, codes on either side
     curve_event : (C,) int8, number in `EVENTS` of the event at the middle of each curve
-    junctions : (J, 2) float64, points where three labels meet, or four where two boundaries cross, right to 1e-7 of
+    junctions : (J, 2) float64, points where three labels meet, or four where two boundaries cross, accurate to 1e-7 of
         the map
-    junction_labels : (J, 3 or 4) int16, their codes, ascending, and `NO_LABEL` behind them
+    junction_labels : (J, 3 or 4) int16, codes of these labels, ascending, then `NO_LABEL` where there are three of four
     ring_vertices : (W, 2) float64, closed rings of one region after the other, see `Region`
     ring_counts : (G,) int32, number of vertices of each ring
     region_rings : (R,) int32, number of rings of each region
-    region_label : (R,) int16, code
+    region_label : (R,) int16, code of the label
     region_area : (R,) float64, share of the map
-    unresolved : (U, 2) float64, a place in each cell where no line could be located: a label has no width there or
-        hangs on rounding, or labels change more finely than the runs along lines tell
-    lash : name of the lash whose labels they are; empty where there is one
+    unresolved : (U, 2) float64, a place in each cell where no boundary could be located: a label has no width there or
+        depends on rounding, or labels change more finely than the runs along the boundaries resolve
+    lash : name of the lash whose labels are parted; empty where the driveline has one lash
     """
 
     axes: ResultAxes
@@ -144,12 +145,12 @@ class Boundaries:
 
     @property
     def areas(self) -> dict[str, float]:
-        """Share of the map of each label that has one, in the order of the labels."""
+        """Share of the map of each label that has a region, in the order of the labels, last ``failed``."""
         codes = sorted(set(self.region_label.tolist()), key=lambda code: (code < 0, code))
         return {self.label(code): float(self.region_area[self.region_label == code].sum()) for code in codes}
 
     def summary(self) -> Rows:
-        """Pairs of a name and a value that describe the network, for people."""
+        """Name and text with the numbers of curves, vertices, junctions and regions, for people."""
         name = f"boundaries of {self.lash}" if self.lash else "boundaries"
         parts = [f"{counted(len(self.curve_counts), 'curve')} of {len(self.vertices):,} vertices"]
         parts += [counted(len(self.junctions), "junction"), counted(len(self.region_area), "region")]
@@ -157,7 +158,7 @@ class Boundaries:
 
     @property
     def unresolved_sentence(self) -> str:
-        """A sentence on the places that are unresolved; empty without any."""
+        """A sentence on the unresolved places; empty where there are none."""
         if not len(self.unresolved):
             return ""
         first = zip(self.axes, self.unresolved[0].tolist(), strict=True)
@@ -168,7 +169,7 @@ class Boundaries:
         )
 
     def meeting_rows(self) -> list[dict[str, str]]:
-        """Junctions with the labels that meet, by heading."""
+        """A row for each junction: texts of its axes' values and of the labels that meet, by heading."""
         names = parameters_of(self.axes)
         return [
             {name: f"{value:.10g}" for name, value in zip(names, place.tolist(), strict=True)}
@@ -180,9 +181,10 @@ class Boundaries:
         return as_text("clunk.Boundaries", [*self.summary(), *((k, f"{v:.6%}") for k, v in self.areas.items())])
 
     def geojson(self) -> dict[str, Any]:
-        """A FeatureCollection: regions as polygons, curves as lines, junctions as points.
+        """A FeatureCollection: regions as polygons, curves as lines, junctions and unresolved places as points.
 
-        Coordinates are the axes' values in the order of the axes. Of several lashes `lash` names the one they are of.
+        Coordinates are the axes' values in the order of the axes. For a driveline of several lashes, the member `lash`
+        names the lash to which the boundaries belong.
         """
         features: list[tuple[str, list[Any], dict[str, Any]]] = []
         for region in self.regions:
@@ -209,7 +211,7 @@ def _parts(values: Array, counts: Counts) -> list[Array]:
 
 
 def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
-    """Variables of boundaries by name, after the numbers along their dimensions."""
+    """Variables by name that store boundaries, preceded by coordinates that number the entries of each dimension."""
     meanings = {
         "labels": dict(enumerate(boundaries.labels)) | {FAILED_CODE: FAILED, NO_LABEL: "none"},
         "events": dict(enumerate(EVENTS)),
@@ -235,7 +237,7 @@ def variables_of(boundaries: Boundaries) -> dict[str, Variable]:
 
 
 def boundaries_of(variables: Mapping[str, Variable], axes: ResultAxes) -> Boundaries | None:
-    """The boundaries among some variables, None without any."""
+    """The boundaries that are stored among some variables; None where there are none."""
     if _FIRST not in variables:
         return None
     fields = {field: variables[name].values for name, field, *_ in _VARIABLES}

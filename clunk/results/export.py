@@ -21,7 +21,7 @@ from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError
 from clunk.study.records import with_unit
 
-_ROWS = 4096  # cells, written at once
+_ROWS = 4096  # cells that are converted to text at a time
 
 
 def save(path: FilePath, results: AnyMap) -> None:
@@ -31,9 +31,9 @@ def save(path: FilePath, results: AnyMap) -> None:
 
 
 def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
-    """Write a row for each cell: its parameters and its quantities, codes as words, and nothing for NaN.
+    """Write a row for each cell: its parameters and its quantities, with codes as words and NaN as an empty field.
 
-    A quantity of each primary impact, label or quantile has a column for each of these.
+    A quantity with a value for each primary impact, label or quantile has a column for each of these.
     """
     dataset, cells = dataset_of(results), math.prod(results.shape)
     columns: list[tuple[str, Quantity | None, Array]] = []  # heading, and the value in each cell
@@ -58,7 +58,7 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
 
 
 def _write_rows(stream: BinaryIO, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write comma-separated values; numbers to full precision, and nothing for None."""
+    """Write comma-separated values; numbers have full precision, None is an empty field."""
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     write = csv.writer(text, lineterminator="\n")
     write.writerow(headings)
@@ -67,7 +67,7 @@ def _write_rows(stream: BinaryIO, headings: Sequence[str], rows: Iterable[Sequen
 
 
 def _write_geojson(stream: BinaryIO, results: AnyMap) -> None:
-    """Write the boundaries of a map."""
+    """Write the boundaries of a map as GeoJSON. Raises ClunkError where the map has none."""
     if results.boundaries is None:
         adds = "" if results.sample else "; clunk sweep --boundaries adds those of a grid of two axes"
         raise ClunkError(f"The map has no boundaries{adds}.")
@@ -80,8 +80,8 @@ WRITERS = {".csv": _write_csv, ".geojson": _write_geojson}
 def save_history(path: FilePath, history: History) -> None:
     """Write a history as comma-separated values, with the units in the names of the columns. Raises ClunkError.
 
-    The last columns are text, empty but in the row that follows an event: what it is, of several lashes which, and its
-    flank.
+    The last columns are the event, its lash (only if there are several) and its flank as text, in the row just after
+    the event; in all other rows they are empty.
     """
     trajectory = history.trajectory
     several = len(trajectory.lashes) > 1
@@ -100,7 +100,7 @@ def save_history(path: FilePath, history: History) -> None:
 
 
 def _event(trajectory: Trajectory, k: int) -> list[str]:
-    """Name of event `k`, of a touch with its rank, its lash if there are several, and its flank."""
+    """Texts of event `k`: its name (a touch is primary or secondary), its lash if there are several, and its flank."""
     name = trajectory.kind_name(k)
     if trajectory.events["kind"][k] == TOUCH:
         is_primary = any(k in each.primaries for each in trajectory.lashes)
@@ -109,7 +109,7 @@ def _event(trajectory: Trajectory, k: int) -> list[str]:
 
 
 def _texts(quantity: Quantity | None, values: Array, labels: tuple[str, ...]) -> list[Any]:
-    """Values as a column: words for codes, those of its bits for the quality, and None for NaN."""
+    """Values of a column: words for codes, the words of all bits that are set for `quality`, and None for NaN."""
     meanings = {} if quantity is None else quantity.meanings(labels)
     if quantity is not None and quantity.coded == "quality":
         return [" ".join(word for bit, word in meanings.items() if value & bit) for value in values.tolist()]

@@ -15,9 +15,9 @@ from clunk.study.errors import ClunkError
 def write_whole(path: FilePath, write: Callable[[BinaryIO], object], scratch: Path | None = None) -> None:
     """Write a file so that at every moment `path` is either the old file or the complete new one.
 
-    The content goes to `scratch`, a directory of the same file system (by default the one of
-    `path`), under a temporary name, is flushed to the disk, then renamed.
-    Raises OSError; then, and on an interrupt, the temporary file is removed.
+    The content is written under a temporary name to `scratch`, a directory of the same file system (by default the one
+    of `path`), flushed to the disk, and the file is then renamed. Raises OSError; the temporary file is then removed,
+    as it is on an interrupt.
     """
     path = Path(os.path.realpath(path))  # through a symbolic link: replace the file, not the link
     temporary = (scratch or path.parent) / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp"
@@ -28,13 +28,13 @@ def write_whole(path: FilePath, write: Callable[[BinaryIO], object], scratch: Pa
             os.fsync(target.fileno())
         temporary.replace(path)
     finally:
-        with suppress(OSError):  # its directory may be what is missing
+        with suppress(OSError):  # the directory itself may be missing
             temporary.unlink(missing_ok=True)
 
 
 @contextmanager
 def writing(path: FilePath) -> Iterator[Path]:
-    """Make a file's directory, and raise an OSError of writing the file as a sentence for the user."""
+    """Context for writing a file: make its directory, and turn an OSError into a ClunkError for the user."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -44,13 +44,13 @@ def writing(path: FilePath) -> Iterator[Path]:
 
 
 def write_text(path: FilePath, text: str) -> None:
-    """Write a text file whole or not at all, in UTF-8; an OSError is raised as a sentence for the user."""
+    """Write a text file whole or not at all, in UTF-8. Raises ClunkError."""
     with writing(path) as target:
         write_whole(target, lambda file: file.write(text.encode()))
 
 
 def reason(error: BaseException) -> str:
-    """Text of an error as one phrase, to stand within a sentence."""
+    """Text of an error as a phrase within a sentence: on one line, with a small first letter, without a full stop."""
     if isinstance(error, OSError) and error.strerror:
         words = error.strerror
     else:
@@ -67,11 +67,14 @@ RESULTS = (".h5",)
 
 
 def check(target: Path | None, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
-    """Refuse a file name of another suffix, a file that is being read, a directory, and a place that takes no files.
+    """Check, before a command runs, that it can write to a file; make missing parent directories.
 
-    Missing parent directories are made. Raises ClunkError.
+    Raises ClunkError where the target is a directory, has another suffix or is the file that the command reads, or
+    where no file can be created in its directory.
 
-    target : None where no file is asked for
+    target : None where no file is to be written
+    suffixes : allowed suffixes, in lower case
+    reads : file that the command reads
     """
     if target is None:
         return

@@ -1,10 +1,10 @@
-"""Labels of sequences of impacts, such as DS(1)SS(2): how they are spelt, and what they count."""
+"""Labels of sequences of impacts, such as DS(1)SS(2): their notation, their order, and the impacts that they count."""
 
 import re
 from functools import lru_cache
 from itertools import groupby
 
-FAILED = "failed"  # in the place of the label of a run that failed
+FAILED = "failed"  # label of a run that failed
 FAILED_CODE = -1
 
 
@@ -14,7 +14,7 @@ def double_sided(label: str) -> int:
 
 
 def primary_impacts(label: str) -> int:
-    """Number of primary impacts in a label: one of each excursion from a flank, and of a double-sided one two."""
+    """Number of primary impacts in a label: two for each double-sided excursion, one for any other excursion."""
     return sum(map(int, re.findall(r"\((\d+)\)", label))) + double_sided(label)
 
 
@@ -25,7 +25,7 @@ def label_order(label: str) -> tuple[int, str]:
 
 
 def normalised_label(text: str) -> str:
-    """Label in clunk's notation: "D(1)+S(1)" and "DS(1) SS(1)" are DS(1)SS(1), "S(1)+S(1)" is SS(2).
+    """A label in clunk's notation: "D(1)+S(1)" and "DS(1) SS(1)" become DS(1)SS(1), "S(1)+S(1)" becomes SS(2).
 
     Raises ValueError where the text is no label.
     """

@@ -1,4 +1,4 @@
-"""Maps over swept parameters: regime maps, with the outcome of every cell, and tolerance maps, with probabilities."""
+"""Maps over swept parameters: regime maps with the outcome of every cell, and tolerance maps with probabilities."""
 
 import tomllib
 from abc import ABC, abstractmethod
@@ -42,7 +42,7 @@ from clunk.study.records import Rows, as_text, counted, percent
 
 @lru_cache(maxsize=4)
 def tables_of(config: str) -> Document:
-    """The tables of a config's TOML, parsed once for all maps of a runner; none of what is no TOML."""
+    """The tables of a config's TOML, cached, since all maps of a runner have one config; empty where it is no TOML."""
     try:
         return tomllib.loads(config)
     except tomllib.TOMLDecodeError:
@@ -53,22 +53,23 @@ def tables_of(config: str) -> Document:
 class Map(Design, ABC):
     """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
 
-    "Shape" is the axes' counts in order. Of several lashes the last axis is `lash`, and each lash of a cell counts as a
-    cell; see `of_lash`.
+    "Shape" stands for the axes' lengths in order. With several lashes the last axis is `lash`, and each lash of a cell
+    counts as a cell; see `of_lash`.
 
     title : str
-    axes : one or more `ResultAxis`; of several lashes the last is `lash`
+    axes : one or more `ResultAxis`; with several lashes the last is `lash`
     labels : code -> label; the code -1 is a failed cell
     config, config_digest : the resolved TOML and its digest
     attributes : versions, date and machine, by name
-    arrays : by the names of `quantities`, which are attributes of the map, too: over the axes and the quantity's
-        dimension; what each primary impact has, of the impacts of all cells in C order
-    sample : of a tolerance map, one `ResultAxis` for each toleranced parameter; its values are what was drawn, (N,):
+    arrays : name in `quantities` -> array, which is also an attribute of the map. Its shape is the map's, followed by
+        the length of the quantity's dimension, if any; quantities of primary impacts are flat, with the impacts of
+        all cells in C order
+    sample : of a tolerance map, one `ResultAxis` for each toleranced parameter; its values are the drawn numbers, (N,):
         the parameter's values, factors on its nominal value or offsets from it
     boundaries : of a regime map, the curves between the labels, if they have been traced
 
-    Raises ValueError where these do not belong together: where the arrays are not those of the map's quantities, an
-    array's shape or dtype is not its quantity's, or a code has no label.
+    Raises ValueError where these are inconsistent: the arrays are not those of the map's quantities, an array's shape
+    or dtype is not its quantity's, or a code has no label.
     """
 
     title: str
@@ -96,12 +97,12 @@ class Map(Design, ABC):
 
     @property
     def lashes(self) -> tuple[str, ...]:
-        """The names of the lashes that the axis `lash` is for; none without it."""
+        """The names of the lashes along the axis `lash`; empty where the map has no such axis."""
         return self.axes[-1].words if self.axes[-1].parameter == LASH else ()
 
     @property
     def lash_names(self) -> tuple[str, ...]:
-        """The names of the lashes, also of an only one."""
+        """The names of the lashes, also of a single one."""
         return self.lashes or (lash_name(0, value_at(self.tables, ("lash", "name"))),)
 
     @property
@@ -110,7 +111,10 @@ class Map(Design, ABC):
         return tables_of(self.config)
 
     def load_phrase(self, without: Sequence[str] = ()) -> str:
-        """The load in words, but for these of its keys and for what is swept: an ideal step is a worst case."""
+        """The load in words, by its profile and numbers; shown with a map, since an ideal step is a worst case.
+
+        Keys of [load] that are swept or in `without` are left out.
+        """
         load = self.tables.get("load", {})
         if load.get("profile") not in PROFILES:
             return ""
@@ -118,7 +122,7 @@ class Map(Design, ABC):
         return ", ".join([PROFILES[load["profile"]].name, *numbers(load, [*without, *swept])])
 
     def __getattr__(self, name: str) -> Array:
-        """A quantity's array."""
+        """The array of the quantity of this name."""
         array: Array | None = self.__dict__.get("arrays", {}).get(name)
         if array is None:
             raise AttributeError(f"{type(self).__name__} has no {name}")
@@ -132,35 +136,37 @@ class Map(Design, ABC):
     @property
     @abstractmethod
     def entries(self) -> dict[str, Array]:
-        """Entries of the dimensions behind the axes: of ``impact`` numbers, of ``label`` the labels and so on."""
+        """Coordinate values of the dimensions behind the axes, by dimension, such as the labels along ``label``."""
 
     def values(self, name: str) -> Array:
-        """Values of a quantity, in cells; those of impacts in a flat array.
+        """Values of a quantity in the shape of the map; those of primary impacts in a flat array.
 
-        Raises ClunkError where the map has none of this name.
+        Raises ClunkError where the map has no quantity of this name.
         """
-        this: Any = self  # either kind
+        this: Any = self  # for mypy: a map is always one of `AnyMap`
         return self.arrays[name] if name in self.arrays else quantity_of(name, this).of_runs(this)
 
     def plot_label(self, quantity: Quantity) -> str:
-        """Name of a quantity of cells, with symbol and unit, beside an axis or a colour bar.
+        """Name, symbol and unit of a quantity of cells, beside an axis or a colour bar.
 
-        In a tolerance map, what holds or not has a probability.
+        In a tolerance map a yes/no quantity is named as the probability of the condition.
         """
         return f"Probability that {quantity.words}" if self.sample and quantity.type == YES_NO else quantity.plot_label
 
     @cached_property
     def first_impact(self) -> Integers:
-        """Position of each cell's first impact in the flat arrays, and last their number: (cells + 1,), in C order."""
+        """Position of each cell's first impact in the flat arrays, in C order, then the number of all: (cells + 1,)."""
         return np.concatenate(([0], self.primary_impacts.cumsum(dtype=np.int64)))
 
     def at(self, values: Mapping[str, float | str]) -> Self:
-        """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
+        """Slice of the map at the nearest values of some axes: ``results.at({"lash.contact.stiffness": 4e5})``.
 
-        A lash goes by name or number. Those axes stay, with one value; of `run` a run's number, and its coordinates
-        stay with theirs. Labels and codes are those of the whole.
+        The slice keeps these axes, with one value each. A lash is given by name or number, a run of the axis `run` by
+        number; the coordinates along `run` are then those of the run. Labels and codes are those of the whole map.
 
-        Raises ClunkError where a name is not an axis, or a value lies beyond it.
+        Raises ClunkError where a name is not an axis, or a value lies beyond its axis.
+
+        values : parameter of an axis -> value, in its unit
         """
         names = parameters_of(self.axes)
         index = [slice(None)] * len(names)
@@ -173,7 +179,7 @@ class Map(Design, ABC):
         return self._part(tuple(index))
 
     def place(self, cell: Sequence[int]) -> dict[str, float | str]:
-        """Values of the parameters in a cell, of lashes their names; cell : positions on the axes."""
+        """Values of the parameters in a cell, for the axis `lash` the name; cell : positions on the axes, from 0."""
         return {
             each.parameter: each.words[position] if each.words else float(each.values[position])
             for axis, position in zip(self.axes, cell, strict=True)
@@ -181,7 +187,9 @@ class Map(Design, ABC):
         }
 
     def at_lash(self, name: WhichLash = None) -> Self:
-        """Slice at one lash, by name or number; by default at the first. The map itself where there is only one.
+        """Slice at one lash, by name or number, which keeps the axis `lash`; by default at the first lash.
+
+        A map without the axis `lash` is returned as it is.
 
         Raises ConfigError where there is no such lash.
         """
@@ -190,18 +198,18 @@ class Map(Design, ABC):
 
     @property
     def coded_labels(self) -> tuple[str, ...]:
-        """The label of each code, and last ``failed``, of the code -1."""
+        """The label of each code; the last one is ``failed``, so that the code -1 finds it."""
         return (*self.labels, FAILED)
 
     @property
     def label_map(self) -> npt.NDArray[np.str_]:
-        """Label of each cell, shape; ``failed`` where the run failed. Of a tolerance map, the most likely one."""
+        """Label of each cell, shape; ``failed`` where the run failed. In a tolerance map, the most likely label."""
         return np.array(self.coded_labels)[self.sequence]
 
     def counts(self) -> dict[str, int]:
-        """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0).
+        """Number of cells of each label in the labels' order, zeros included, and last the number of ``failed`` cells.
 
-        Of a tolerance map, cells in which the label is the most likely one.
+        In a tolerance map, the cells in which the label is the most likely one are counted.
         """
         sequence = self.sequence.ravel().astype(np.intp)
         cells = np.bincount(sequence - FAILED_CODE, minlength=len(self.coded_labels))
@@ -212,7 +220,7 @@ class Map(Design, ABC):
         return {name: self.of_lash(name) for name in self.lash_names}
 
     def of_lash(self, name: WhichLash = None) -> Self:
-        """Map of one lash, by name or number, without the axis `lash`; by default of the first, or the only one.
+        """Map of one lash, by name or number, without the axis `lash`; by default of the first lash.
 
         Raises ConfigError where there is no such lash.
         """
@@ -222,7 +230,10 @@ class Map(Design, ABC):
         return self._part((*[slice(None)] * len(self.axes[1:]), position))
 
     def _part(self, index: tuple[slice | int, ...]) -> Self:
-        """The slice at these positions, without the axes of a single one; of a whole map with its boundaries."""
+        """The map at these positions on the axes: a slice keeps its axis, a number drops it.
+
+        Boundaries are kept where the slices of all axes but `lash` are whole, and their lash is in the part.
+        """
         pairs = zip(self.axes, index, strict=True)
         axes = tuple(axis.part(places) for axis, places in pairs if isinstance(places, slice))
         arrays = {
@@ -242,19 +253,19 @@ class Map(Design, ABC):
         return replace(self, axes=axes, arrays=arrays, boundaries=boundaries)
 
     def summary(self) -> Rows:
-        """Pairs of a name and a value on what was swept and drawn, for people."""
+        """Pairs of a name and a text on the axes and the drawn parameters, for people."""
         rows = [("axis", f"{axis.parameter}: {axis.spread}") for axis in self.axes]
         rows += [("along run", f"{axis.parameter}: {axis.spread}") for axis in self.coordinates]
         return rows + [("drawn", f"{each.name}: {each.spread}") for each in self.sample]
 
     @abstractmethod
     def label_table(self) -> list[dict[str, str]]:
-        """A row for each label that occurs, with its part of the map, for people: texts by heading."""
+        """A row for each label that occurs, with its share of the map, for people: texts by heading."""
 
     @property
     @abstractmethod
     def facts(self) -> Rows:
-        """Pairs of a name and a value on what the labels leave out, for people."""
+        """Pairs of a name and a text on properties of the map that the label table lacks, for people."""
 
     def __repr__(self) -> str:
         labels = [row.values() for row in self.label_table()]
@@ -263,7 +274,7 @@ class Map(Design, ABC):
 
 
 def share(count: int, cells: int) -> str:
-    """A number of cells and their part of all cells, for people: ``21 cells, 4.8 %``."""
+    """A number of cells and their share of all cells, for people: ``21 cells, 4.8 %``."""
     return f"{counted(count, 'cell')}, {100.0 * count / cells:.1f} %"
 
 
@@ -273,18 +284,19 @@ def share(count: int, cells: int) -> str:
 class Results(Map):
     """A regime map: a label for each cell, its quantities and its primary impacts.
 
-    Its fields are those of `Map`. Of its arrays, those that the config asks for besides are found by `values`.
+    Its fields are those of `Map`. Its arrays are the following, and those of the quantities and measures that the
+    config asks for in addition, see `values`.
 
     sequence : shape, codes into `labels`
     severity : shape, Q  [rad/s²], NaN where it is not defined
     approach_velocity : shape, V  [rad/s]
     last_event_time : shape  [s after the load step], NaN where nothing happened
-    primary_impacts, touches : shape
+    primary_impacts, touches : shape, their numbers; touches include chatter
     status, quality : shape; see `clunk.core.status`
-    initial_side : shape, sign of θ_i - θ_j on the initial flank (0: none)
+    initial_side : shape, sign of the gap coordinate on the initial flank, 0 without an initial flank
     margin : shape, dimensionless: how near the run came to another label, positive for what did not happen and negative
-        for what did (see `clunk.core.exact.margins`); NaN where the method knows none
-    impact_time : (N,)  [s after the load step]; cells in C order, cell k owns `primary_impacts[k]` consecutive entries
+        for what did (see `clunk.core.exact.margins`); NaN where the method gives no margin
+    impact_time : (N,)  [s after the load step]; cells in C order, cell k has `primary_impacts[k]` consecutive entries
     impact_flank : (N,), +1 opposite, -1 initial
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
@@ -297,12 +309,12 @@ class Results(Map):
 
     @cached_property
     def quantities_of_cells(self) -> Quantities:
-        """The label, numbers, and what holds or not."""
+        """The label, the stored quantities that are numbers, and the other ones of `OF_RUNS`, mostly conditions."""
         holding = {name: each for name, each in OF_RUNS.items() if name != NOMINAL}
         return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
-        """The number of each cell's label; NaN where it failed. numbers : of the labels, in their order"""
+        """The number of each cell's label, shape; NaN in failed cells. numbers : one for each of `labels`"""
         return np.array([*numbers, np.nan])[self.sequence]  # the code of failed cells, -1, is the last
 
     def numbers(self, name: str) -> Floats:
@@ -311,7 +323,7 @@ class Results(Map):
 
     @property
     def caveats(self) -> list[str]:
-        """Phrases on what the labels do not tell: runs that ended before it was proved that nothing follows."""
+        """Phrases that qualify the labels: how many runs ended before it was proved that nothing more happens."""
         run = self.of_lash()  # all lashes of a run end together
         count = np.count_nonzero((run.status == Status.OK) & (run.quality & QUALITY_COMPLETE == 0))
         cells = counted(run.sequence.size, "run")
@@ -319,7 +331,7 @@ class Results(Map):
 
     @property
     def entries(self) -> dict[str, Array]:
-        """Numbers of the primary impacts, as many as the cell with the most has, and at least 1."""
+        """Numbers of primary impacts along ``impact``: up to the most that a cell has, and at least 1."""
         return {"impact": np.arange(1, max(1, self.primary_impacts.max()) + 1, dtype=np.int32)}
 
     def cell(self, values: Mapping[str, float | str]) -> dict[str, Any]:
@@ -338,7 +350,7 @@ class Results(Map):
         Raises
         ------
         ClunkError
-            Where an axis is not named, or something that is none; or a value lies beyond an axis.
+            Where an axis is missing, a name is no axis, or a value lies beyond its axis.
 
         Examples
         --------
@@ -384,7 +396,7 @@ class Results(Map):
 
 
 def quantities_of_config(config: str) -> Quantities:
-    """Quantities of the results of a resolved config: those that all runs have, and those that it asks for besides."""
+    """Quantities of the results of a resolved config: those of all runs, then those that the config asks for."""
     tables = tables_of(config)
     measured = measured_quantities(tables.get("impacts", {}).get("quantities", ()), tables.get("measures", ()))
     return REGIME_QUANTITIES | measured
@@ -421,7 +433,7 @@ class ToleranceMap(Map):
 
     @cached_property
     def quantities_of_cells(self) -> Quantities:
-        """The most likely label, probabilities of what holds for labels, and the severity's mean and quantiles."""
+        """The most likely label, probabilities of conditions on labels, and the severity's mean and quantiles."""
         of_labels = {
             name: each
             for name, each in OF_RUNS.items()
@@ -436,23 +448,26 @@ class ToleranceMap(Map):
         return of_labels | {"severity": mean} | quantiles
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
-        """Mean over the runs of each cell that did not fail: of 1 and 0 a share; NaN where all failed."""
+        """Mean number of the labels of a cell's runs that did not fail, shape; NaN where all failed.
+
+        numbers : one for each of `labels`; with 1 and 0, the mean is the share of the runs with a 1
+        """
         return self._of_finished(self.runs[..., :FAILED_CODE] @ np.asarray(numbers, np.float64))
 
     def _of_finished(self, runs: Counts | Floats) -> Floats:
-        """Numbers of runs as shares of those of their cells that did not fail."""
+        """Numbers of runs, or sums over runs, divided by the number of the cell's runs that did not fail."""
         finished = self.draws - self.runs[..., FAILED_CODE]
         return np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
 
     def numbers(self, name: str) -> Floats:
-        """The severity's mean or one of its quantiles in each cell."""
+        """The mean of the severity, or the quantile of this name, in each cell  [rad/s²]."""
         if name in _QUANTILE_NAMES:
             return np.ascontiguousarray(self.severity_quantiles[..., _QUANTILE_NAMES.index(name)])
         return self.severity_mean
 
     @property
     def entries(self) -> dict[str, Array]:
-        """The labels and ``failed``, the quantiles, and numbers of the draws."""
+        """Labels and last ``failed`` along ``label``, levels along ``quantile``, numbers along ``draw``."""
         draws = np.arange(1, self.draws + 1, dtype=np.int32)
         return {"label": np.array(self.coded_labels), "quantile": np.array(QUANTILES), "draw": draws}
 
@@ -463,7 +478,7 @@ class ToleranceMap(Map):
 
     @cached_property
     def runs(self) -> Counts:
-        """Of the N runs of a cell, those with each label, and last those that failed: shape + (labels + 1,)."""
+        """Number of a cell's N runs with each label, and last of those that failed: shape + (labels + 1,)."""
         return np.rint(self.probability * self.draws).astype(np.int32)
 
     @property
@@ -473,7 +488,7 @@ class ToleranceMap(Map):
 
     @property
     def caveats(self) -> list[str]:
-        """Phrases on what the probabilities do not tell: runs that failed, which they leave out."""
+        """Phrases that qualify the probabilities: how many runs failed and are left out of them."""
         cells = self.of_lash().runs[..., FAILED_CODE]  # all lashes of a run fail together
         if not cells.any():
             return []
@@ -491,12 +506,12 @@ class ToleranceMap(Map):
         return int(np.count_nonzero(self.certainty < CERTAIN))
 
     def shares(self) -> dict[str, float]:
-        """Share of each label in all runs; last that of ``failed``."""
+        """Share of each label in all runs of all cells, and last the share of ``failed`` runs."""
         total = self.runs.reshape(-1, self.runs.shape[-1]).sum(axis=0, dtype=np.int64)
         return dict(zip(self.coded_labels, (total / total.sum()).tolist(), strict=True))
 
     def label_table(self) -> list[dict[str, str]]:
-        """See `Map.label_table`: the cells in which it is the most likely one, and its share of all runs."""
+        """See `Map.label_table`: the cells in which a label is the most likely one, and its share of all runs."""
         counts = self.counts()
         return [
             {"label": label, "cells, most likely": f"{counts[label]:,}", "share of runs": f"{part:.4%}"}
@@ -506,7 +521,7 @@ class ToleranceMap(Map):
 
     @property
     def facts(self) -> Rows:
-        """See `Map.facts`: how many cells are uncertain, have moved, or have runs that failed."""
+        """See `Map.facts`: how many cells are uncertain, have another label than the nominal one, or failed runs."""
         cells = self.sequence.size
         moved = (self.sequence != self.nominal_sequence).sum()
         draws = f"{self.draws:,} draws" + " that did not fail" * bool(self.failed)

@@ -1,14 +1,14 @@
-"""Named arrays over named dimensions, and their file both ways: HDF5 laid out as netCDF-4, for xarray, MATLAB, ncdump.
+"""Named arrays over named dimensions, and their files: HDF5 laid out as netCDF-4, which xarray, MATLAB and ncdump read.
 
-Knows nothing of quantities.
+This module knows nothing of quantities.
 
-A file that is missing, foreign, of another version or not as it was written ends in a `StoreError` whose text is one
+A file that is missing, foreign, of another version or not as it was written raises a `StoreError` whose text is one
 sentence.
 
-A checksum of the file's bytes stands behind the end of the HDF5, and is compared before HDF5 reads any: HDF5 does not
-come back from every damaged file, as a changed bit can send it around in a circle. It does not look behind the end that
-its superblock names, and cuts the file there when it changes it: a file that another program has changed has no
-checksum any more.
+A checksum of the file's bytes follows the end of the HDF5 data, and is compared before the HDF5 library reads the file:
+the library does not return from every damaged file, since a changed bit can make it loop for ever. The library ignores
+bytes behind the end that the superblock gives, and truncates the file there when it changes it: a file that another
+program has changed has no checksum any more.
 """
 
 import hashlib
@@ -30,28 +30,29 @@ from clunk.study.arrays import Array
 from clunk.study.document import FilePath, nearest_file
 from clunk.study.errors import ClunkError
 
-# Last dimension of a variable -> the variable that tells how many entries along it each cell has.
+# Last dimension of a variable -> the variable with the number of entries that each cell has along it.
 COUNTED_BY = {"impact": "primary_impacts"}
 
 SCHEMA_VERSION = 8
 _OF_FILE = ("schema_version", "Conventions", "variables", "content_digest")  # attributes; all others are the dataset's
-_OF_HDF5 = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST")  # attributes of variables
+_OF_HDF5 = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST")  # attributes of variables that HDF5 itself sets
 
 _MARK = b"clunk-sha256:"
 _LENGTH = len(_MARK) + 64 + 1  # `head -c -78 FILE | sha256sum` gives the same digits
 
-_SLAB = 2**17  # places of padded values that are in memory at a time: 1 MB, or a row of cells
-_CHUNK = 2**13  # of these, the least that are worth compressing together
-_LEVEL = 1  # of compression: levels 1 to 6 differ by 1 % in size of Figure 3.4's map, and 6 takes three times as long
-_SMALL = 4096  # bytes of values that would only grow by compression
+_SLAB = 2**17  # padded values in memory at a time: 1 MB of float64, or one row of cells
+_CHUNK = 2**13  # least number of padded values that are worth compressing together
+_LEVEL = 1  # of gzip: levels 1 to 6 differ by 1 % in size of Figure 3.4's map, and 6 takes three times as long
+_SMALL = 4096  # bytes; a variable no larger than this would grow by compression
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
 
 
 class Variable(NamedTuple):
     """An array over named dimensions.
 
-    dims : their names; a variable named after its only dimension is the coordinate of that
-    values : in the shape of the dimensions; along one of `COUNTED_BY`, the entries of all cells in C order, flat
+    dims : names of the dimensions; a variable named after its only dimension is the dimension's coordinate
+    values : in the shape of the dimensions; where the last one is in `COUNTED_BY`, a flat array of the entries of all
+        cells in C order
     attributes : texts, numbers and arrays by name; `units` and `long_name` are among them
     """
 
@@ -61,18 +62,21 @@ class Variable(NamedTuple):
 
 
 class Dataset(NamedTuple):
-    """Variables by name, those of dimensions before what lies along them, and what is said of all."""
+    """Variables by name, coordinates before the variables along them, and attributes of the whole dataset."""
 
     variables: Mapping[str, Variable]
     attributes: Mapping[str, str]
 
     def padded(self, name: str) -> Array:
-        """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
+        """Values of a variable in the shape of its dimensions; after the last entry of a cell NaN (floats) or 0."""
         values = self.variables[name].values
         return values if values.ndim == len(self.variables[name].dims) else _padded(values, *self.places(name))
 
     def places(self, name: str) -> tuple[Array, int]:
-        """Numbers of entries of a variable in each cell, and of places, which is 1 along other dimensions."""
+        """Number of entries of a variable in each cell, and number of places of each cell in the padded array.
+
+        A variable without a dimension in `COUNTED_BY` has one entry and one place for each of its values.
+        """
         values, dims = self.variables[name].values, self.variables[name].dims
         if values.ndim == len(dims):
             return np.ones(values.shape, np.int8), 1
@@ -80,7 +84,11 @@ class Dataset(NamedTuple):
 
 
 def _padded(entries: Array, counts: Array, places: int) -> Array:
-    """Entries of cells, flat, in as many places for each cell."""
+    """Flat entries of cells spread over `places` places for each cell; free places have NaN (floats) or 0.
+
+    entries : (N,), of all cells in C order
+    counts : number of entries of each cell; the result has its shape + (places,)
+    """
     is_entry = np.arange(places) < counts[..., None]
     padded = np.full(is_entry.shape, np.nan if entries.dtype.kind == "f" else 0, entries.dtype)
     padded[is_entry] = entries
@@ -88,7 +96,7 @@ def _padded(entries: Array, counts: Array, places: int) -> Array:
 
 
 def flags(meanings: Mapping[int, str], dtype: npt.DTypeLike, *, masks: bool = False) -> dict[str, str | Array]:
-    """CF's attributes on the meanings of a variable's integers or, with `masks`, of their bits; none without any."""
+    """CF's attributes for the meanings of a variable's integers or, with `masks`, bits; empty without meanings."""
     if not meanings:
         return {}
     words = " ".join(meanings.values())
@@ -96,7 +104,7 @@ def flags(meanings: Mapping[int, str], dtype: npt.DTypeLike, *, masks: bool = Fa
 
 
 def meanings_of(variable: Variable) -> dict[int, str]:
-    """Word of each of a variable's integers, by its CF attributes. Raises KeyError, ValueError without these."""
+    """Word of each of a variable's integers, from its CF attributes. Raises KeyError or ValueError without these."""
     codes, words = np.asarray(variable.attributes["flag_values"]), str(variable.attributes["flag_meanings"]).split()
     return dict(zip(codes.tolist(), words, strict=True))
 
@@ -106,7 +114,7 @@ class StoreError(ClunkError):
 
 
 def content_digest(dataset: Dataset) -> str:
-    """SHA-256 over each variable's name, dimensions, dtype and flag meanings, and its values: text, or numbers."""
+    """SHA-256 over each variable's name, dimensions, shape, dtype, flag meanings and values (texts or numbers)."""
     sha = hashlib.sha256()
     for name, variable in dataset.variables.items():
         values, words = variable.values, variable.attributes.get("flag_meanings", "")
@@ -123,14 +131,15 @@ def content_digest(dataset: Dataset) -> str:
 def write(path: FilePath, dataset: Dataset, scratch: Path | None = None) -> None:
     """Write a dataset and its checksum so that at every moment `path` is either the old file or the complete new one.
 
-    Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
-    Raises ClunkError.
+    Missing parent directories are made. The incomplete file is in `scratch`, by default in the same directory. Raises
+    ClunkError.
 
-    The file is assembled in memory (a results file takes about 65 bytes a cell): HDF5 writing to a full disk does not
-    only fail, it leaves handles that crash the interpreter when it exits. Python's own write fails cleanly.
+    The file is assembled in memory (a results file takes about 65 bytes a cell): where HDF5 itself writes to a full
+    disk, it not only fails, but leaves handles that crash the interpreter when it exits. Python's own write fails
+    cleanly.
     """
     image = io.BytesIO()
-    with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 asks for creation order
+    with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 requires creation order
         file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
         _set_attributes(
             file,
@@ -149,14 +158,17 @@ def write(path: FilePath, dataset: Dataset, scratch: Path | None = None) -> None
 
 
 def _create(file: h5py.File, name: str, dataset: Dataset) -> None:
-    """Write a dimension or a variable along some; a variable compressed where that pays."""
+    """Write a variable: as a dimension scale if it is a coordinate, else with its dimensions' scales attached.
+
+    Numeric variables of more than `_SMALL` bytes that are no coordinates are compressed.
+    """
     dims, values, attributes = dataset.variables[name]
     is_dimension = dims == (name,)
     counts, places = dataset.places(name)
     shape = (*counts.shape, places)[: len(dims)]
     create = partial(file.create_dataset, name, track_order=True)
     if values.dtype.kind == "U":
-        # Words of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
+        # Variable length, since xarray reads fixed-length strings as bytes, which selection by a text does not find.
         stored = create(data=values.astype(object), dtype=h5py.string_dtype())
     elif is_dimension or math.prod(shape) * values.itemsize <= _SMALL:
         stored = create(data=dataset.padded(name))
@@ -175,9 +187,14 @@ def _create(file: h5py.File, name: str, dataset: Dataset) -> None:
 
 
 def _compress(entries: Array, counts: Array, places: int, stored: h5py.Dataset) -> None:
-    """Write chunks, each of some rows and places, as HDF5's own filters would, which use one core.
+    """Write the compressed chunks that HDF5's filters (shuffle, gzip) would make, on several cores instead of one.
 
-    The last ones reach beyond the rows and the places, and have zeros there.
+    A chunk holds some rows of cells and some places of each cell. The last chunks reach beyond the array, and have
+    zeros there.
+
+    entries : flat, of all cells in C order
+    counts : number of entries of each cell
+    places : number of places of each cell
     """
     rows, *_, together = (*stored.chunks, 1)[: counts.ndim + 1]
     slabs = np.split(counts, range(rows, len(counts), rows))
@@ -197,7 +214,7 @@ def _compress(entries: Array, counts: Array, places: int, stored: h5py.Dataset) 
 
 
 def _set_attributes(target: h5py.File | h5py.Dataset, attributes: Mapping[str, str | Array]) -> None:
-    """Write attributes; a text is of fixed length, as netCDF's own `units` are, one of several lines of variable."""
+    """Write attributes; a text has fixed length, as in netCDF's own files, or variable length if long or multi-line."""
     for name, value in attributes.items():
         if isinstance(value, str) and "\n" not in value and len(raw := value.encode()) <= _LONGEST_FIXED_TEXT:
             dtype = h5py.string_dtype("ascii" if value.isascii() else "utf-8", max(1, len(raw)))
@@ -207,7 +224,7 @@ def _set_attributes(target: h5py.File | h5py.Dataset, attributes: Mapping[str, s
 
 
 def _trailer(content: memoryview | bytes) -> bytes:
-    """The checksum that follows the content of a file."""
+    """The bytes behind the content of a file: a mark, and the SHA-256 of the content in hexadecimal digits."""
     return _MARK + hashlib.sha256(content).hexdigest().encode() + b"\n"
 
 
@@ -215,7 +232,7 @@ def _trailer(content: memoryview | bytes) -> bytes:
 
 
 def read(path: FilePath) -> Dataset:
-    """Read a file whole, its bytes compared with their checksum. Raises StoreError."""
+    """Read a whole file into memory after comparing its bytes with their checksum. Raises StoreError."""
     path = Path(path)
     try:
         raw = path.read_bytes()  # Python's own errors are clearer than HDF5's
@@ -245,7 +262,10 @@ def read(path: FilePath) -> Dataset:
 
 
 def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) -> Variable:
-    """A variable as it is stored, of what each impact has without the padding; words as text."""
+    """A stored variable, with entries of cells flat, without padding, and with words as text.
+
+    earlier : variables that precede it in the file, the numbers of entries among them
+    """
     dims = (name,) if stored.is_scale else tuple(dim[0].name.removeprefix("/") for dim in stored.dims)
     if dims[-1] in COUNTED_BY and len(dims) > 1:
         counts, most = earlier[COUNTED_BY[dims[-1]]].values, stored.shape[-1]
@@ -260,7 +280,7 @@ def _variable(stored: h5py.Dataset, name: str, earlier: Mapping[str, Variable]) 
 
 
 def _attributes_of(source: h5py.File | h5py.Dataset) -> dict[str, Any]:
-    """Attributes, texts of fixed and variable length alike, without HDF5's own."""
+    """Attributes of a file or variable, texts of fixed or variable length as str, without those that HDF5 sets."""
     return {
         name: value.decode() if isinstance(value, bytes) else value
         for name, value in source.attrs.items()

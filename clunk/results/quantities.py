@@ -1,22 +1,23 @@
-"""The quantities of runs and of maps, described once, in quantities.csv: what files, plots and tables say of each.
+"""The quantities of runs and of maps, described once, in quantities.csv, for files, plots and tables.
 
-A quantity more of each run is a field of `core.tile.CELL`, written there, and a row of quantities.csv with the field's
-name. Its name is then reserved in `study.rules`, `netcdf.SCHEMA_VERSION` grows, and the help on the file format lists
-it.
+To add a quantity of each run, add a field of `core.tile.CELL`, compute it there, and add a row of quantities.csv with
+the field's name. Then reserve the name in `study.rules`, raise `netcdf.SCHEMA_VERSION`, and list the quantity in the
+help on the file format.
 
 `quantity_of` reads a quantity of runs in the words that options such as --of and --quantity take:
 
 label, regimes                       the label
-severity, touches, margin, …         a number, see `known_quantities`
-impulse, peak_torque, energy         numbers, see `clunk help measures`; a run to come need not be asked for them
-shuffle                              a measure of the config, by its name
-severity<=8000, touches=4            whether a number is <=, <, >=, > or = another
-double_sided=0                       whether something does not hold; with 1, whether it does
+severity, touches, margin, …         a number, see `quantities_of`
+impulse, peak_torque, energy         numbers, see `clunk help measures`; of a study, also if its config does not ask for
+                                     them (impacts.quantities), of a map only if it does
+shuffle                              a measure of the config, by its name (here "shuffle")
+severity<=8000, touches=4            whether a quantity is <=, <, >=, > or = a number
+double_sided=0                       whether a condition does not hold; with 1, whether it holds
 single_sided, double_sided, …        whether the label has an SS, a DS, an OS (opposite_sided), a CR (crossed)
 NI, SS, DS, OS, CR                   short for label=NI, single_sided and so on
-chatter                              whether touches follow that are no primary impacts
-label=DS(1)SS(1)                     whether it is this one
-nominal_label                        whether it is that of the run without tolerances, see `Quantity.named`
+chatter                              whether a run has touches that are no primary impacts
+label=DS(1)SS(1)                     whether the label is this one
+nominal_label                        whether the label is that of the run without tolerances, see `Quantity.named`
 
 >>> import clunk
 >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
 TEXT, NUMBER, WHOLE, YES_NO = "label", "number", "whole number", "yes/no"  # types of quantities
 LABEL, CHATTER, NOMINAL = "label", "chatter", "nominal_label"
-_SIDED = {"single_sided": "SS", "double_sided": "DS", "opposite_sided": "OS", "crossed": "CR"}  # -> the word in labels
+_SIDED = {"single_sided": "SS", "double_sided": "DS", "opposite_sided": "OS", "crossed": "CR"}  # -> word in a label
 _SHORT = {word: name for name, word in _SIDED.items()} | {"NI": "label=NI", "REGIMES": LABEL}
 _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     "<=": (operator.le, "is at most"),
@@ -63,7 +64,7 @@ _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     ">": (operator.gt, "is greater than"),
     "=": (operator.eq, "is"),
 }
-WHY_UNDEFINED = {  # in cells, of a map that may be of any model
+WHY_UNDEFINED = {  # quantity -> end of a sentence on why runs or cells have no value
     "severity": "; under the restitution model accelerations are impulsive, and approach_velocity is the measure",
     "peak_torque": "; under the restitution model torques are impulsive, and impulse is the measure",
     "margin": "; only the exact method knows it (solver.method)",
@@ -71,9 +72,9 @@ WHY_UNDEFINED = {  # in cells, of a map that may be of any model
 _REQUEST = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL)
 
 _UNIT_SYMBOLS = {"1": "", "rad s-1": "rad/s", "rad s-2": "rad/s²"}
-_WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
+_WORDS: dict[str, Mapping[int, str]] = {  # coding -> code or bit -> word
     "": {},
-    "labels": {FAILED_CODE: FAILED},  # of a map's own labels, and of what failed
+    "labels": {FAILED_CODE: FAILED},  # `Quantity.meanings` adds the labels of a map
     "status": {status.value: status.name.lower() for status in Status},
     "quality": QUALITY_MEANINGS,
     "flank": {-1: "initial", 0: "none", 1: "opposite"},
@@ -83,17 +84,17 @@ _WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
 class Quantity(NamedTuple):
     """A quantity of each run or cell of a map, or of each primary impact, label or quantile of a cell.
 
-    name : as options name it; of what a file holds that of the variable and of the attribute of the map
-    dtype : numpy scalar type; bool of what holds or not, str of labels
+    name : name in options; of a quantity in files also the name of its variable and of the map's attribute
+    dtype : numpy scalar type; bool for a condition (yes/no), str for a label
     unit : in the notation of UDUNITS, ``1`` where there is none
     dimension : the dimension behind the map's axes: ``impact``, ``label``, ``quantile``; empty where there is none
-    of : ``lash``, or ``cell`` where all lashes of a cell have the same
-    coded : ``labels``, ``status``, ``quality`` or ``flank``, where the integers are codes or bits of these
+    of : ``lash``, or ``cell`` where all lashes of a cell have the same value
+    coded : ``labels``, ``status``, ``quality`` or ``flank``, where the integers are codes or bits of these; else empty
     words, symbol : name and symbol for people; empty where the values are not drawn or printed as numbers
-    title : name in plots, where that is not `words`
+    title : name in plots; empty where that is `words`
     long_name : description in the file
-    base : of a relation such as ``severity<=8000`` the quantity, and
-    relation, bound : what it is compared with, a number or a label
+    base, relation, bound : of a comparison such as ``severity<=8000``, the quantity that is compared, the operator, and
+        the number or label with which it is compared; else None, empty and NaN
     """
 
     name: str
@@ -141,15 +142,15 @@ class Quantity(NamedTuple):
         return title + self.heading_with_unit.removeprefix(self.words)
 
     def meanings(self, labels: Sequence[str]) -> dict[int, str]:
-        """Word of each code or bit, in a map with these labels; empty where the values are numbers."""
-        # The failed code comes last: flag_meanings.split()[code] is then right for -1, too.
+        """Code or bit -> word, in a map with these labels; empty where the values are plain numbers."""
+        # The code of failed cells, -1, comes last, so that flag_meanings.split()[code] is right for it, too.
         return (dict(enumerate(labels)) if self.coded == "labels" else {}) | dict(_WORDS[self.coded])
 
     def of_runs(self, results: AnyMap) -> Array:
         """The quantity in each cell of a map, in the map's shape.
 
-        A number as float64, NaN where it is not defined; what holds or not as 1 and 0, of a tolerance map as its
-        probability. In cells that failed both are NaN. Labels are texts, there ``failed``.
+        Numbers are float64, NaN where they are not defined. Conditions are 1 or 0, in a tolerance map probabilities.
+        Labels are texts. A cell that failed has NaN, or the label ``failed``.
         """
         if self.type == TEXT:
             return results.label_map
@@ -164,7 +165,10 @@ class Quantity(NamedTuple):
         return np.where(np.isnan(numbers), np.nan, _RELATIONS[self.relation][0](numbers, self.bound))
 
     def compared(self, results: AnyMap) -> Array:
-        """The quantity as runs are compared by it: the size of a margin; a last event at 0 where nothing happens."""
+        """Values with which runs are compared, as `of_runs`, except for two quantities.
+
+        Of a margin, the magnitude is compared; the time of the last event is 0 in runs without events.
+        """
         values = self.of_runs(results)
         if self.name == "margin":
             return abs(values)
@@ -173,7 +177,7 @@ class Quantity(NamedTuple):
         return values
 
     def of_label(self, label: str) -> float | None:
-        """The value that a label alone decides: 1 or 0 of a condition, or a number of impacts; else None."""
+        """Value of the quantity if it follows from the label alone: a number of impacts, or 1 or 0; else None."""
         if self.name in _SIDED:
             return float(f"{_SIDED[self.name]}(" in label)
         if self.name == NOMINAL or (self.base is not None and self.base.type == TEXT):
@@ -185,7 +189,7 @@ class Quantity(NamedTuple):
         return None if count is None else float(count(label))
 
     def named(self, nominal: str) -> Quantity:
-        """`nominal_label` with the label of the run without tolerances; any other quantity as it is."""
+        """The quantity `nominal_label` bound to the label of the run without tolerances; others are unchanged."""
         if self.name != NOMINAL:
             return self
         return self._replace(words=f"the label is the nominal {nominal}", bound=nominal)
@@ -195,7 +199,7 @@ Quantities = dict[str, Quantity]  # by name
 
 
 def _read() -> dict[str, Quantities]:
-    """Read the table: map -> name -> quantity, in the order of the variables in a file and in its digest."""
+    """Read quantities.csv: map -> name -> quantity, in the order of the variables in a file and in its digest."""
     maps: dict[str, Quantities] = {}
     text = files(__package__).joinpath("quantities.csv").read_text("utf-8")
     row: dict[str, Any]
@@ -213,10 +217,10 @@ OF_RUNS = _MAPS["runs"]
 
 
 def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[str, Any]]) -> Quantities:
-    """Quantities that a config asks for, of cells and then of impacts.
+    """Quantities that a config asks for: those of cells, measures among them, then those of primary impacts.
 
-    of_impacts : impacts.quantities
-    measures : the tables [[measures]], each with its name, quantity, part and reduction
+    of_impacts : impacts.quantities of the config
+    measures : the tables [[measures]], each with its name, quantity, part (`of`) and reduction (`reduce`)
     """
     table = _MAPS["measures"]
     measured = {name: table[name] for name in of_impacts}
@@ -229,14 +233,14 @@ def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[st
 
 
 def named_numbers(quantities: Quantities) -> Quantities:
-    """Those of some quantities that are numbers of cells which people ask for."""
+    """The quantities among these that are one number for each cell, no codes, and have a name for people."""
     return {name: each for name, each in quantities.items() if each.words and not each.dimension and not each.coded}
 
 
 def quantities_of(source: Study | AnyMap) -> Quantities:
-    """The quantities of a study's runs, or those that a map has in each cell, by the names that options take.
+    """The quantities of a study's runs, or of a map's cells, by the names that options take.
 
-    First the label, then numbers, then what holds or not; relations such as ``severity<=8000`` come besides.
+    The label comes first. Comparisons such as ``severity<=8000`` are not among them; see `quantity_of`.
     """
     if not isinstance(source, Study):
         return source.quantities_of_cells
@@ -245,9 +249,10 @@ def quantities_of(source: Study | AnyMap) -> Quantities:
 
 
 def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
-    """A quantity of a study's runs or of a map's cells, in the words that options take; see above.
+    """The quantity of a study's runs or of a map's cells that a text asks for, in the words of the module's table.
 
-    Raises ClunkError where there is none, or it is not defined for the study's contact model.
+    Raises ClunkError where there is no such quantity, a comparison is malformed or not possible for a tolerance map, or
+    the quantity is not defined for the study's contact model or method.
     """
     known, is_drawn = quantities_of(source), not isinstance(source, Study) and len(source.sample) > 0
     text = re.sub(
@@ -261,7 +266,7 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
         names = [*known, *["severity<=8000"] * (not is_drawn), "label=DS(1)SS(1)"]
         likely = nearest(name, names)
         hint = f"; did you mean {likely}?" if likely else "."
-        if name in OF_IMPACTS and "margin" in known:  # else it is a tolerance map, which has none of them
+        if name in OF_IMPACTS and "margin" in known:  # a tolerance map has no margin, nor these
             hint = f"; impacts.quantities = [{name!r}] in the config measures it."
         raise ClunkError(f"There is no quantity {shorten(text)} here; there are {listing(names)}{hint}")
     if (
@@ -279,20 +284,22 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
             f"{shorten(text)} compares nothing: a number is compared with a number, as in severity<=8000, and a label "
             "is one such as label=DS(1)SS(1)."
         )
-    told = value if isinstance(value, str) else f"{value:.15g}"
-    compared = OF_RUNS[CHATTER]._replace(name=f"{name}{relation}{told}", base=quantity, relation=relation, bound=value)
+    bound_text = value if isinstance(value, str) else f"{value:.15g}"
+    compared = OF_RUNS[CHATTER]._replace(
+        name=f"{name}{relation}{bound_text}", base=quantity, relation=relation, bound=value
+    )
     if is_drawn and compared.of_label("NI") is None:
         raise ClunkError(
             f"A tolerance map has no {compared.name}: it keeps what its draws have in the mean and their quantiles, "
             "not in how many of them a number is within a bound."
         )
-    meaning = f"{quantity.heading} {_RELATIONS[relation][1]} {told} {quantity.unit_symbol}".rstrip()
+    meaning = f"{quantity.heading} {_RELATIONS[relation][1]} {bound_text} {quantity.unit_symbol}".rstrip()
     meaning = f"the {meaning}" if quantity.type == TEXT else meaning
     return compared._replace(words=meaning, long_name=f"whether {meaning}")
 
 
 def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | None:
-    """The label or number that a quantity is compared with; None where it is none."""
+    """Label or number with which a quantity is compared; None where the quantity cannot be compared with it."""
     with contextlib.suppress(ValueError):
         if quantity.type == TEXT:
             return normalised_label(bound) if relation == "=" else None
@@ -304,7 +311,10 @@ def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | No
 
 
 def measuring(study: Study, quantities: Iterable[Quantity]) -> Study:
-    """The study whose runs are measured by what these quantities need, and by nothing else; none is flagged."""
+    """The study with only those measures and quantities of impacts that these quantities need.
+
+    Its margin tolerance is 0, so that no run is marked as undecided by its margin.
+    """
     names = {(each.base or each).name for each in quantities}
     impacts = study.impacts.but(quantities=tuple(name for name in OF_IMPACTS if name in names))
     measures = tuple(measure for measure in study.measures if measure.name in names)

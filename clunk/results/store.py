@@ -1,6 +1,7 @@
-"""Maps as datasets, and so as files and for xarray: a variable for each axis, quantity and boundary, and back again.
+"""Conversion of maps to datasets and back, for results files and xarray.
 
-The variables are the quantities of the map, see `clunk.results.quantities`.
+A dataset has a variable for each axis, each quantity of the map (`clunk.results.quantities`) and each array of its
+boundaries.
 """
 
 from __future__ import annotations
@@ -32,23 +33,23 @@ from clunk.study.document import FilePath
 if TYPE_CHECKING:
     import xarray
 
-_KIND = "kind"  # attribute of a tolerance map; a regime map has none
+_KIND = "kind"  # attribute of the dataset of a tolerance map; a regime map's has none
 _TOLERANCE_MAP = "tolerance map"
-_FIELDS = ("title", "config", "config_digest", _KIND)  # of a dataset, not among a map's attributes
-_DIMENSIONS = {  # behind a map's axes -> attributes
+_FIELDS = ("title", "config", "config_digest", _KIND)  # attributes of a dataset that are not in a map's `attributes`
+_DIMENSIONS = {  # dimension behind a map's axes -> attributes of its coordinate
     "impact": {"units": "1", "long_name": "number of the primary impact"},
     "label": {"units": "1", "long_name": "sequence of impact excursions (regime label)"},
     "quantile": {"units": "1", "long_name": "quantile of the runs of the sample"},
     "draw": {"units": "1", "long_name": "number of the draw"},
 }
-_DRAWN = "drawn_"  # begins the names of the sample's variables
+_DRAWN = "drawn_"  # prefix of the names of the sample's variables
 
 
 def write_results(path: FilePath, results: AnyMap, scratch: Path | None = None) -> None:
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
-    Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
-    Raises ClunkError, also where its name does not end in .h5.
+    Missing parent directories are made. The incomplete file is in `scratch`, by default in the same directory.
+    Raises ClunkError where the file cannot be written, or its name does not end in .h5.
 
     Examples
     --------
@@ -61,7 +62,7 @@ def write_results(path: FilePath, results: AnyMap, scratch: Path | None = None) 
 
 
 def read_results(path: FilePath) -> Results:
-    """Read a regime map whole, its bytes compared with their checksum. Raises StoreError.
+    """Read a regime map from a results file, whose checksum is verified. Raises StoreError.
 
     Examples
     --------
@@ -80,7 +81,7 @@ def read_results(path: FilePath) -> Results:
 
 
 def read_map(path: FilePath) -> AnyMap:
-    """Read whichever map a results file holds, as `read_results`. Raises StoreError.
+    """Read a map of either kind from a results file, whose checksum is verified. Raises StoreError.
 
     Examples
     --------
@@ -93,7 +94,7 @@ def read_map(path: FilePath) -> AnyMap:
     """
     try:
         return map_of(read(path))
-    except LookupError as error:  # a file that is as it was written, by another version
+    except LookupError as error:  # the checksum is right: another version wrote the file
         raise StoreError(f"{path} lacks what this clunk reads ({reason(error)}): run the sweep again.") from error
 
 
@@ -101,7 +102,7 @@ def read_map(path: FilePath) -> AnyMap:
 
 
 def dataset_of(results: AnyMap) -> Dataset:
-    """The dataset of a map."""
+    """Convert a map to a dataset."""
     names, sample = tuple(axis.variable for axis in results.axes), results.sample
     variables = {name: _of_axis(axis, name) for name, axis in zip(names, results.axes, strict=True)}
     variables |= {axis.variable: _of_axis(axis, RUN) for axis in results.coordinates}
@@ -122,8 +123,8 @@ def dataset_of(results: AnyMap) -> Dataset:
         variables[name] = Variable(dims, values, attributes)
     if results.boundaries is not None:
         variables |= variables_of(results.boundaries)
-    own = {"title": results.title, "config": results.config, "config_digest": results.config_digest}
-    return Dataset(variables, results.attributes | own | ({_KIND: _TOLERANCE_MAP} if sample else {}))
+    identity = {"title": results.title, "config": results.config, "config_digest": results.config_digest}
+    return Dataset(variables, results.attributes | identity | ({_KIND: _TOLERANCE_MAP} if sample else {}))
 
 
 def _of_axis(axis: ResultAxis, dim: str) -> Variable:
@@ -136,7 +137,7 @@ def _of_axis(axis: ResultAxis, dim: str) -> Variable:
 
 
 def map_of(dataset: Dataset) -> AnyMap:
-    """The map of a dataset."""
+    """Convert a dataset to a map. Raises LookupError where the dataset lacks a variable or an attribute."""
     variables, attributes = dataset.variables, dataset.attributes
     sequence = variables["sequence"]
     along = [_axis_of(variables[name]) for name in str(sequence.attributes.get("coordinates", "")).split()]
@@ -177,13 +178,14 @@ def _axis_of(variable: Variable) -> ResultAxis:
 def open_results(path: FilePath) -> xarray.Dataset:
     """Open a results file as an xarray Dataset.
 
-    The file is checked and read whole (45 bytes a cell, and 25 a primary impact for as many of these as the cell that
-    has most) and closed again, so that nothing that happens to it later changes the Dataset.
+    The file is checked, read whole into memory and closed, so that later changes of the file do not change the Dataset.
+    The quantities of a regime map take 45 bytes a cell, and 25 more for each primary impact of the cell that has most;
+    the labels' texts take 4 bytes a cell for each character of the longest one.
 
-    Each variable is an array over the swept parameters, whose dotted names have become ``load_ratio`` and the like; its
-    ``attrs`` have units and a description. `label` is text and `sequence` its code, ``failed`` and -1 in a cell whose
-    run failed for the cause in `status`; its numbers are NaN. Of a tolerance map, `label` is a dimension of
-    `probability`, and `most_likely_label` the text.
+    Each variable is an array over the swept parameters, whose dotted names become ``load_ratio`` and the like; its
+    ``attrs`` have units and a description. `label` is text and `sequence` its code. In a cell whose run failed these
+    are ``failed`` and -1, `status` says why, and numbers are NaN. In the Dataset of a tolerance map, `label` is a
+    dimension of `probability`, and the texts are in `most_likely_label`.
 
     Parameters
     ----------
@@ -217,7 +219,7 @@ def open_results(path: FilePath) -> xarray.Dataset:
 
 
 def to_dataset(results: AnyMap) -> xarray.Dataset:
-    """Convert results to the xarray Dataset that `open_results` makes of their file.
+    """Convert a map to the xarray Dataset that `open_results` makes of its file.
 
     Raises
     ------
@@ -235,7 +237,7 @@ def to_dataset(results: AnyMap) -> xarray.Dataset:
 
 
 def _to_xarray(dataset: Dataset) -> xarray.Dataset:
-    """Hand over a dataset of a map, whatever variables it has, with its labels as text."""
+    """Convert the dataset of a map to xarray, with all of its variables and with labels as text."""
     try:
         import xarray
     except ImportError as error:

@@ -1,6 +1,6 @@
-"""Keys of a config, as the models describe them: JSON Schema of a file, and each key's bounds, words and unit.
+"""Keys of a config, derived from the models: JSON Schema of a file, and each key's bounds, allowed words and unit.
 
-Tables are validated by their models, with every error as a sentence at its place.
+`validated` validates tables by their models, and returns every error as a sentence at its place.
 """
 
 import functools
@@ -18,7 +18,7 @@ from clunk.study.tables import ONE, SEVERAL, Finding, Quantity
 PRESETS = ("boere-2008", "boere-2008-as-printed", "car")
 ITEM = "#"  # stands in a pattern for any position in a list
 
-# What a preset or an axis may give can be left out of a file.
+# Required keys of tables in the JSON Schema of a file, which may leave out what a preset or an axis gives.
 _REQUIRED: dict[str, list[str]] = {"Config": ["driveline"], "Shaft": ["between"]}
 _REQUIRED |= {table: [] for table in ("DrivelineConfig", "Lash", "Contact", "Load", "Impacts")}
 
@@ -26,15 +26,15 @@ _REQUIRED |= {table: [] for table in ("DrivelineConfig", "Lash", "Contact", "Loa
 class Key(NamedTuple):
     """The values that one place of a config allows.
 
-    must_be : what is allowed, to follow "must be"
-    children : the keys of a table
-    choices : the words that are allowed, if only some are
-    quantity : of a number that may be swept
+    must_be : allowed values in words, to follow "must be"
+    children : the keys of a table; else empty
+    choices : the words that are allowed; empty where words are not restricted
+    quantity : name, symbol and unit of a number that can be swept; else None
     whole : whether only integers are allowed
     lowest, highest : bounds of a number, which it may reach unless `above` says otherwise
     above : whether the lowest bound itself is excluded
     not_zero : whether zero is excluded
-    is_optional : whether it has a value where a config leaves it out
+    is_optional : whether the key has a default value
     """
 
     must_be: str
@@ -111,7 +111,7 @@ def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
 
 
 def _of_item(key: Key, table: str) -> Key:
-    """A key of one of several tables, in whose quantity ``{}`` stands for the table's number."""
+    """Key of a table in an array of tables: in its quantity's name and symbol ``{}`` stands for the table's number."""
     if key.quantity is None:
         return key
     name, symbol, unit = key.quantity.name.removesuffix(f" at the {table}"), key.quantity.symbol, key.quantity.unit
@@ -119,7 +119,7 @@ def _of_item(key: Key, table: str) -> Key:
 
 
 def _resolved(node: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Node of the schema with references resolved, and without null: such a key is left out of a config."""
+    """Node of the schema with references resolved, and without null, since a config leaves out a key without value."""
     inner = [each for each in node.get("anyOf", node.get("allOf", ())) if each.get("type") != "null"]
     if "$ref" in node:
         inner = [json_schema()["$defs"][node["$ref"].rsplit("/", 1)[-1]]]
@@ -170,10 +170,11 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | None, list[Finding]]:
-    """Validate the tables of a config: their model, or what is wrong with them.
+    """Validate a table of a config, or a whole config: return its model, or None, and the findings.
 
-    table : with tuples for lists, see `with_tuples`; its table of inertias and their names is what others refer to
-    at : the place of the table in a config
+    table : with tuples for lists, see `with_tuples`; where it has a table `driveline`, that is the context in which
+        numbers and names of inertias and shafts are validated
+    at : the place of the table in a config; places of findings begin with it
     """
     try:
         return model.model_validate(table, context=value_at(table, ("driveline",))), []
@@ -182,7 +183,7 @@ def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | N
     unknown = {place: _likely_key(place) for place, detail in errors if detail["type"] == "extra_forbidden"}
     findings = []
     for place, detail in errors:
-        # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
+        # one error for each mistake: a misspelt key is not also missing, nor a list of wrong items also too short
         inner = [other for other, _ in errors if len(other) > len(place) and other[: len(place)] == place]
         is_list_of_wrong = detail["type"] == "too_short" and inner
         if detail["type"] == "clunk":
@@ -195,26 +196,26 @@ def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | N
 
 
 def with_tuples(node: Any) -> Any:
-    """A table with lists as tuples: strict models take no lists for tuples."""
+    """A table with tuples in place of lists, which strict models do not accept for tuples."""
     if isinstance(node, dict):
         return {key: with_tuples(value) for key, value in node.items()}
     if not isinstance(node, list | tuple):
         return node
-    # types are looked at all at once: of many numbers that takes a tenth of the time
+    # for long lists of numbers, checking all types at once takes a tenth of the time of converting each item
     return tuple(node if {dict, list, tuple}.isdisjoint(map(type, node)) else map(with_tuples, node))
 
 
 def _place(location: Place) -> Place:
-    """Place of an error, in which pydantic has the variants of keys, too."""
+    """Place of an error: pydantic's location without the tags of a key's variants."""
     return tuple(step for step in location if step not in (ONE, SEVERAL))
 
 
 def _likely_key(place: Place) -> Place | None:
-    """The key that an unknown one was meant to be: a neighbour, or one that is more like it elsewhere."""
+    """The key that an unknown one probably means: a similar one in its table, or a very similar one elsewhere."""
     name, table = str(place[-1]), _pattern_of(place[:-1])
     if beside := nearest(name, keys()[table].children):
         return (*place[:-1], beside)
-    # first those below this table
+    # keys below this table come first, and so are preferred where several tables have the name
     elsewhere = sorted((known for known in keys() if known), key=lambda known: known[: len(table)] != table)
     likely = nearest(name, {str(known[-1]) for known in elsewhere}, cutoff=0.77)
     return next((known for known in elsewhere if known[-1] == likely), None)
@@ -231,7 +232,7 @@ def _unknown_key(place: Place, likely: Place | None) -> str:
 
 
 def wrong_value(place: Place, value: Any, *, is_missing: bool = False) -> str:
-    """Sentence on a value that the key at a place does not allow, or that it lacks."""
+    """Sentence on a value that the key at a place does not allow, or on a missing value."""
     if is_missing and place == ("driveline",):
         return f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias, and the shafts that join them"
     key = keys()[_pattern_of(place)]

@@ -1,6 +1,7 @@
-"""The load of a config: its profile, the torques and times of that, and traces of them in files.
+"""The load of a config: its profile, the profile's torques and times, and traces of a torque in files.
 
-`PROFILES` alone tells which keys a profile uses. The pieces that it is made of are in `clunk.simulation.load`.
+`PROFILES` is the one list of the keys that each profile uses. `clunk.simulation.load` makes the pieces that are
+simulated from a profile.
 """
 
 import contextlib
@@ -18,13 +19,13 @@ from clunk.study.document import Document, read_text
 from clunk.study.errors import ClunkWarning, ConfigError, listing, shorten
 from clunk.study.tables import Bounded, Findings, Inertia, NotEmpty, NotNegative, Positive, Quantity, Table, Text
 
-# The torques before and after the load step are given by both of the first, or by both of the second.
+# The torques before and after the load step are given by both keys of the first pair, or by both of the second.
 TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
 LONGEST_TABLE = 100_000  # points in time
 
 
 class Profile(NamedTuple):
-    """A load profile: its name for people, and the keys that it uses beside `on` and `step_time`."""
+    """A load profile: its name for people, and the keys that it uses besides `on` and `step_time`."""
 
     name: str
     keys: tuple[str, ...]
@@ -45,9 +46,9 @@ _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency
 _NEEDED |= {"durations": "s", "levels": "shares of the change"}
 _MOST_LEVELS = 1000
 _COLUMNS = "time (s) and torque (N m), separated by commas, semicolons or tabs"
-# and its units, without what is no letter
+# meaning of each column, and headings' spellings of its unit in lower case, letters only
 _MEANT = ("time in s", ("s", "sec", "seconds")), ("torque in N m", ("nm",))
-# of a heading: short, and behind it; or one of those that logs have, in a line of its own
+# unit in a heading: short, in brackets at its end; or a usual unit alone in its cell, as in a line of units of a log
 _UNIT = re.compile(
     r"(\[[^\]]{1,15}\]|\([^)]{1,5}\))\s*$"
     r"|^\s*([mµu]?s|min|h|[mk]?N ?[·*.]?c?m|(in|ft)[ ·*.-]?lbf?|lbf?[ ·*.-]?(in|ft))\s*$",
@@ -57,20 +58,21 @@ _NUMBER = re.compile(r"[-+]?(\.?\d|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 
 class Load(Table):
-    """The torque on one inertia: steady until the load step, and from then on as its profile says.
+    """The torque on one inertia: steady until the load step, and from then on given by the profile.
 
-    T0 is the torque before the load step and T1 the one that it goes to: Ts (1 + σr) and Ts, by static_torque Ts and
-    ratio σr (report Eqs. 2.2 and 2.4), or initial_torque and final_torque. t is the time after the load step.
+    T0 is the torque before the load step and T1 the one to which it changes: T0 = Ts (1 + σr) and T1 = Ts for
+    static_torque Ts and ratio σr (report Eqs. 2.2 and 2.4), or initial_torque and final_torque. t is the time after the
+    load step.
 
     profile : "step": T1. "ramp": a straight line from T0 to T1 over the duration.
-        "smooth": half a cosine instead. "lag": T1 + (T0 - T1) exp(-t / time_constant). "pulse": T1 for the duration,
-        then T0 again. "table": straight lines between the torques at the times; at two equal times the torque jumps,
-        and the first of all is T0. "sine": T1 + amplitude sin(2π frequency t). "steps": in the k-th of the durations
-        T0 + (T1 - T0) levels[k], and T1 after them
+        "smooth": half a cosine from T0 to T1 over the duration. "lag": T1 + (T0 - T1) exp(-t / time_constant).
+        "pulse": T1 for the duration, then T0 again. "table": straight lines between the torques at the times, times
+        scale; the torque jumps at two equal times, and the first torque is T0. "sine": T1 + amplitude
+        sin(2π frequency t). "steps": T0 + (T1 - T0) levels[k] during the k-th of the durations, and T1 after them
     on : int, number from 1 of the loaded inertia
     scale : float, factor on the torques of a table
     file : path or None, of a trace that becomes times and torques when a config is read; see `read_trace`
-    step_time : float, of the load step on the time axis of plots
+    step_time : float, time of the load step on the time axis of plots; without effect on a run
     """
 
     profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine", "steps"] = "step"
@@ -104,7 +106,7 @@ class Load(Table):
     step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
 
     def contradictions(self) -> Findings:
-        """Require the keys that the profile needs, its torques given in one way, and times in order."""
+        """Require the profile's keys, one pair of torques, as many levels as durations, and times in order."""
         given = tuple(key for key in STEP_KEYS if getattr(self, key) is not None)
         if self.profile == "table":
             text = 'given beside profile = "table", which has torques of its own; leave it out'
@@ -121,7 +123,7 @@ class Load(Table):
         yield from self._points()
 
     def _points(self) -> Findings:
-        """Require as many torques as times, in order, or a file in place of both."""
+        """Require as many torques as times, and times in order; or a file in place of both."""
         times, torques = self.times, self.torques
         if self.file is not None:
             together = "given beside times or torques; give file alone, or both of these"
@@ -136,12 +138,12 @@ class Load(Table):
 
 
 def uses(profile: str, key: str) -> bool:
-    """Whether a load of this profile uses a key."""
+    """Whether a load of this profile uses a key of [load]."""
     return key in ("on", "step_time", *(PROFILES[profile].keys if profile in PROFILES else ()))
 
 
 def numbers(load: Document, without: Container[str] = ()) -> list[str]:
-    """The numbers of a load's profile, other than defaults, with symbols and units: ``d = 0.1 s``.
+    """Texts of the numbers that a load's profile uses, without defaults and lists: ``d = 0.1 s``.
 
     load : the table of a config
     without : keys to leave out
@@ -157,7 +159,7 @@ def numbers(load: Document, without: Container[str] = ()) -> list[str]:
 
 
 def disorder(times: Sequence[float]) -> Iterator[tuple[int, str]]:
-    """Yield the position of the first time of a table that is out of order, if there is one, and what is wrong."""
+    """Yield position and reason of the first time of a table that is out of order; nothing where all are in order."""
     if times and times[0] != 0.0:
         yield 0, f"found {times[0]:g}; the first time must be 0, the load step"
         return
@@ -173,14 +175,15 @@ def disorder(times: Sequence[float]) -> Iterator[tuple[int, str]]:
 def read_trace(path: Path) -> tuple[list[float], list[float]]:
     """Read times [s] and torques [N m] from the first two columns of a text file.
 
-    Tabs separate the columns, where the first line of numbers reads so, else semicolons, else commas; of numbers that
-    commas do not separate, one may stand for the point. Lines that do not begin with a number are headings, and a
-    ClunkWarning tells of another unit in them, in brackets or in a line of its own.
+    The delimiter is a tab if that splits the first line of numbers into two finite numbers, else likewise a semicolon,
+    else a comma. Between tabs or semicolons, numbers may have a decimal comma. Lines that do not begin with a number
+    are headings; a ClunkWarning reports a heading with another unit than s and N m, in brackets or alone in its cell.
 
     Raises
     ------
     ConfigError
-        Where the file cannot be read, or holds something else.
+        Where the file cannot be read, a line has no two finite numbers, times are out of order, or there are no lines
+        of numbers or more than `LONGEST_TABLE`.
     """
     rows = read_text(path, "a trace", f"a text file of {_COLUMNS}", known=".").splitlines()
     numbers = next((row for row in rows if _NUMBER.match(row.strip(' \t"'))), "")
@@ -213,7 +216,7 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
 
 
 def _numbers(row: Sequence[str]) -> list[float]:
-    """The first two cells as numbers, of which a comma may be the point; none where they are no finite numbers."""
+    """The first two cells of a row as numbers, with decimal point or comma; empty where they are no finite numbers."""
     with contextlib.suppress(ValueError):
         time, torque = (float(re.sub(r",(?=\d)", ".", cell).replace("_", "?")) for cell in row[:2])
         if math.isfinite(time) and math.isfinite(torque):

@@ -1,7 +1,7 @@
 """Tables of a config as frozen, typed values: the type, range and unit of every key.
 
-The units are the config's (degrees, N/m at a radius); `clunk.simulation` converts. Inertias are numbered from 1. A
-validator here looks at one table; the rules that tie tables to one another are in `clunk.study.rules`.
+The units are the config's (degrees, N/m at a radius); `clunk.simulation` converts them. Inertias are numbered from 1. A
+validator here checks one table; the rules that tie tables to one another are in `clunk.study.rules`.
 """
 
 import math
@@ -38,16 +38,16 @@ from clunk.study.tables import (
     refusal,
 )
 
-OF_IMPACTS = ("impulse", "peak_torque", "energy")  # of each primary impact
-_PARTS = {  # of a driveline, that a quantity can be of
+OF_IMPACTS = ("impulse", "peak_torque", "energy")  # quantities of each primary impact
+_PARTS = {  # quantity of a measure -> elements of a driveline that have it
     "acceleration": ("inertia",),
     "twist": ("shaft", "lash"),
     "shaft torque": ("shaft",),
     "contact torque": ("lash",),
 }
-WhichLash = str | int | None  # of several, by name or number from 1; None is the first
+WhichLash = str | int | None  # a lash by name or number from 1; None is the first
 _NO_SWEEP = Sweep.model_construct()
-NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that say which runs there are, and nothing of one
+NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that choose runs; no single run depends on them
 
 _Stages = NotEmpty[Annotated[NotNegative, Quantity("stiffness of shaft {0} in stage {1}", "k{0},{1}", "N m/rad")]]
 
@@ -58,15 +58,17 @@ class Shaft(Table):
     Its torque is linear in the twist, or piecewise linear and continuous, with a stiffness for each stage between
     breakpoints and beyond them, and zero at twist 0.
 
-    name : str or None, by which measures may refer to it
-    between : two of an inertia's number from 1 and "ground"
+    name : str or None, by which measures may refer to the shaft
+    between : its two ends: numbers of inertias from 1, or one and "ground"
     ratio : float, i of a gear: the twist is θ of the first end less i θ of the second
-    stiffness : float, or one for each stage
-    breakpoints_deg : twists between the stages, ascending
-    stiffness_per_deg : float or None, instead of stiffness, which it becomes
-    friction : float, Coulomb torque against the rate of twist, and anything up to that while it sticks
+    stiffness : float, or one for each stage  [N m/rad]
+    breakpoints_deg : twists between the stages, ascending  [degrees]
+    stiffness_per_deg : float or one for each stage, or None; converted into stiffness, which it replaces  [N m/degree]
+    damping : float  [N m s/rad]
+    friction : float, Coulomb torque against the rate of twist; at most as large while the shaft sticks  [N m]
 
-    A bearing, a shaft to ground, has damping or friction alone where nothing else is given.
+    A shaft to ground, a bearing, may be given by damping or friction alone: stiffness is then 0, and beside friction
+    damping is 0 by default.
     """
 
     name: Text | None = None
@@ -97,7 +99,10 @@ class Shaft(Table):
         return of_bearing | shaft
 
     def contradictions(self) -> Findings:
-        """The stiffness is given once."""
+        """Require one key for the stiffness, one stage more than breakpoints, and these in ascending order.
+
+        Not all of several stages may have stiffness 0.
+        """
         if self.stiffness_per_deg is not None:
             yield (), "stiffness and stiffness_per_deg are given together; give one of the two"
         stages, breakpoints = self.stages, self.breakpoints_deg or ()
@@ -113,7 +118,7 @@ class Shaft(Table):
 
     @property
     def stages(self) -> tuple[float, ...]:
-        """The stiffness of each stage; of a linear shaft, its only one."""
+        """The stiffness of each stage  [N m/rad]; a linear shaft has one stage."""
         stages = self.stiffness
         return stages if isinstance(stages, tuple) else (stages,)
 
@@ -126,7 +131,7 @@ class DrivelineConfig(Table):
     shafts: tuple[Shaft, ...] = ()
 
     def contradictions(self) -> Findings:
-        """Require a name for each inertia or for none, which differ from each other, from numbers and from ground."""
+        """Require names of all inertias or of none, and names that are distinct, no numbers and not "ground"."""
         count, names = len(self.inertias), self.names
         if names is not None and len(names) != count:
             text = f"found {len(names)} names for {count} inertias; give each its name, or leave names out"
@@ -139,12 +144,13 @@ class DrivelineConfig(Table):
 class Contact(Table):
     """Contact of the flanks: a spring and damper, or impacts of rigid flanks.
 
-    Keys that the model does not use are checked all the same.
+    Keys that the model does not use are validated all the same.
 
-    stiffness, damping : float or None, at the radius; the restitution model does not use them
-    separation : the flanks part when the gap opens, or when the contact force would turn tensile
-    restitution : float, speed after an impact over the speed before; the indentation model does not use it
-    locking_speed : float or None, a slower rebound locks; the indentation model does not use it
+    model : "indentation", a spring and damper, or "restitution", impacts of rigid flanks
+    stiffness, damping : float or None, at the radius  [N/m, N s/m]; not used by the restitution model
+    separation : flanks part when the gap opens ("gap"), or when the contact force would turn tensile ("force")
+    restitution : float, speed after an impact over the speed before; not used by the indentation model
+    locking_speed : float or None, speed below which a rebound locks  [rad/s]; not used by the indentation model
     """
 
     model: Literal["indentation", "restitution"] = "indentation"
@@ -162,11 +168,11 @@ class Contact(Table):
 
 
 class Lash(Table):
-    """The backlash, which is the whole gap, between two inertias or between one and ground.
+    """A lash between two inertias, or between one and ground; its backlash is the whole gap.
 
-    name : str or None, of one of several lashes; by default its number, as in ``lash 1``
+    name : str or None, by default made of the lash's number, as in ``lash 1``
     ratio : float, i of a gear: the gap is measured in θ of the first end less i θ of the second
-    gap_mm : float or None, the whole gap at the radius, instead of backlash_deg, which it becomes
+    gap_mm : float or None, the whole gap at the radius  [mm]; converted into backlash_deg, which it replaces
     """
 
     name: Text | None = None
@@ -181,11 +187,11 @@ class Lash(Table):
     @classmethod
     def _convert(cls, lash: Any) -> Any:
         number = value_at(lash, ("radius",))
-        radius = number if is_number(number) and number > 0.0 else math.inf  # else it has an error of its own
+        radius = number if is_number(number) and number > 0.0 else math.inf  # a wrong radius is an error of its own
         return converted(lash, "gap_mm", "backlash_deg", lambda gap: _degrees(gap, radius), 360.0)
 
     def contradictions(self) -> Findings:
-        """The gap is given once, and is no more than a turn."""
+        """Require either backlash_deg or gap_mm, and a gap of at most a turn."""
         if self.gap_mm is None:
             return
         degrees = _degrees(self.gap_mm, self.radius)
@@ -197,18 +203,18 @@ class Lash(Table):
 
 
 def _degrees(gap_mm: float, radius: float) -> float:
-    """Angle of a gap in mm at a radius in m."""
+    """Angle  [degrees] of a gap in mm at a radius in m."""
     return math.degrees(gap_mm / (1e3 * radius))
 
 
 class Solver(Table):
-    """Method, step and limits of a run. Keys that the method does not use are checked all the same.
+    """Method, step and limits of a run. Keys that the method does not use are validated all the same.
 
-    method : "rk4", fixed-step with bisection, or "exact", by the modes of each regime
-    step : float, of rk4; the exact method does not use it
-    end_time : float, after the load step
-    margin_tolerance : float, a run of the exact method that came nearer than this to another label is undecided
-    max_events : int, touches and separations of a run; one with more has failed
+    method : "rk4", fixed-step with bisection of events, or "exact", by the modes of each regime
+    step : float, time step of rk4  [s]; not used by the exact method
+    end_time : float, end of a run after the load step  [s]
+    margin_tolerance : float, a run of the exact method is undecided where the magnitude of its margin is smaller
+    max_events : int, most touches and separations of a run; a run with more fails
     """
 
     method: Literal["rk4", "exact"] = "rk4"
@@ -219,12 +225,12 @@ class Solver(Table):
 
 
 class Impacts(Table):
-    """Sticking time, inertia and quantities by which impacts are told apart and measured.
+    """Sticking time, inertia and quantities by which impacts are classified and measured.
 
-    sticking_time : float or None, a longer contact is sticking; None stands for the contact period
+    sticking_time : float or None, a longer contact is sticking  [s]; None stands for the contact period
     acceleration_of : int or None, number from 1 of the inertia whose acceleration gives the severity; None stands for
         the first inertia of each lash
-    quantities : of each primary impact, besides its severity and its closing speed
+    quantities : that are measured of each primary impact, besides its severity and its closing speed
     """
 
     sticking_time: Annotated[Positive | None, Quantity("sticking time", "t_s", "s")] = None
@@ -246,7 +252,10 @@ def _identifier(name: str) -> str:
 
 
 def _numbered_part(value: Any, info: ValidationInfo) -> Any:
-    """Number of an inertia or a shaft that is given by its name; else the value, which a rule of the config judges."""
+    """Validate the part of a measure: a named inertia or shaft becomes its number, other values are returned as given.
+
+    An unknown inertia is refused here; `clunk.study.rules` checks whether shafts and lashes exist.
+    """
     if info.data.get("quantity") == "acceleration":
         return numbered_inertia(value, info)
     names = [value_at(shaft, ("name",)) for shaft in items_of(value_at(info.context, ("shafts",)))]
@@ -256,9 +265,9 @@ def _numbered_part(value: Any, info: ValidationInfo) -> Any:
 class Measure(Table):
     """An extreme of a quantity over a run, from the load step to the end time.
 
-    name : str, of the variable in results files
+    name : str, name of the variable in results files
     of : int or str, number from 1 or name of an inertia or a shaft, or name of a lash
-    reduce : the largest value less the smallest, or the largest magnitude
+    reduce : "peak-to-peak", the largest value less the smallest, or "largest", the largest magnitude
     """
 
     name: Annotated[Text, AfterValidator(_identifier)]
@@ -274,13 +283,14 @@ class Measure(Table):
 class Fit(Table):
     """Parameters that are fitted to measurements.
 
-    parameters : with their priors; a factor or an offset of a measured key acts on its measured values
-    candidates : int, the most of the search for the best fit
-    effective_draws : int, effective size that the ensemble is to have
-    draws : int, the most of the ensemble
-    seed : int, the same one gives the same fit
+    parameters : fitted keys with their priors; a factor or an offset of a measured key acts on its measured values
+    candidates : int, most candidates in the search for the best fit
+    effective_draws : int, effective size at which the ensemble is large enough
+    draws : int, most draws for the ensemble
+    seed : int; the same seed gives the same fit
     wrong_labels : float, expected share of measured labels that are wrong or that no parameters could meet
-    scatter : float, scale of the distance, as a share of the operating point's values, of labels that are not met
+    scatter : float, scale of the distances of labels that are not met: the changes, as shares of the operating point's
+        values, that would bring the labels about
     """
 
     parameters: Draws
@@ -293,9 +303,9 @@ class Fit(Table):
 
 
 class FreeParameter(Table):
-    """A number that is searched from low to high, in its key's unit.
+    """A number that an optimisation varies from low to high, in its key's unit.
 
-    parameter : dotted key, or several keys that all take the number
+    parameter : dotted key, or several keys that all take the same number
     """
 
     parameter: Annotated[
@@ -319,10 +329,10 @@ class FreeParameter(Table):
 class Optimize(Table):
     """The values of some keys that minimise a key or a quantity while others hold.
 
-    minimize : one of the parameters' keys, or a quantity of runs: over axes its worst value
-    subject_to : quantities that must hold, such as ``label=NI`` or ``severity<=8000``, in every cell of the axes
-    robust : share of the drawn drivelines in which they hold; with sweep.tolerances only
-    seed : int, the same one gives the same answer
+    minimize : one of the parameters' keys, or a quantity of runs, whose worst value over the cells of the axes counts
+    subject_to : conditions that must hold in every cell of the axes, such as ``label=NI`` or ``severity<=8000``
+    robust : share of the drawn drivelines in which the conditions must hold; needs sweep.tolerances
+    seed : int; the same seed gives the same answer
     """
 
     minimize: Text
@@ -333,7 +343,7 @@ class Optimize(Table):
 
 
 class Config(Table):
-    """Tables of a config, each sound by itself; of several lashes `lash` is a tuple."""
+    """Tables of a config, each valid by itself; `lash` is a tuple where there are several lashes."""
 
     title: Annotated[Text, Field(min_length=1)] = "Untitled"
     driveline: DrivelineConfig
@@ -348,12 +358,12 @@ class Config(Table):
 
     @property
     def alone(self) -> Self:
-        """The config of one run, without the tables that say which runs there are."""
+        """The config without the tables that choose runs: sweep, fit and optimisation."""
         return self.but(**dict.fromkeys(NOT_OF_A_RUN))
 
     @property
     def swept(self) -> Sweep:
-        """The sweep; one without axes and draws where the config has none."""
+        """The sweep; where the config has none, a sweep without axes and draws."""
         return self.sweep or _NO_SWEEP
 
     @property
@@ -363,7 +373,7 @@ class Config(Table):
 
     @property
     def has_rigid_flanks(self) -> bool:
-        """Whether touches are impulses, by the restitution model, which then all lashes have."""
+        """Whether touches are impulses of rigid flanks: the restitution model; all lashes have one contact model."""
         return self.lashes[0].contact.model == "restitution"
 
     @property
@@ -373,7 +383,7 @@ class Config(Table):
 
     @property
     def placed_lashes(self) -> Iterator[tuple[Place, Lash]]:
-        """Each lash behind its place."""
+        """Pairs of place and lash."""
         return zip(self.lash_places, self.lashes, strict=True)
 
     @property
@@ -389,22 +399,24 @@ class Config(Table):
 
     @property
     def measured(self) -> bool:
-        """Whether runs are measured by more than Q and V."""
+        """Whether the config asks for quantities besides Q and V: of impacts, or measures."""
         return bool(self.impacts.quantities or self.measures)
 
 
 def lash_name(position: int, name: str | None) -> str:
-    """Name of the lash at a position in its config, which may leave it out."""
+    """Name of the lash at a position from 0; by default, without a name in the config, as ``lash 1``."""
     return name or f"lash {position + 1}"
 
 
 def lash_position(name: WhichLash, names: Sequence[str]) -> int:
-    """Position of the lash of a name or number from 1 among those with these names; of None, the first.
+    """Position, from 0, of a lash that is given by name or number from 1; None is the first.
+
+    names : of all lashes, in order
 
     Raises
     ------
     ConfigError
-        Where there is none.
+        Where there is no such lash.
     """
     try:
         number = 1 if name is None else int(name) if str(name).isdecimal() else name
@@ -414,7 +426,7 @@ def lash_position(name: WhichLash, names: Sequence[str]) -> int:
 
 
 def part_of(measure: Measure, config: Config) -> Part:
-    """The part of the driveline that a measure is of. Raises ValueError, with what is wrong, where there is none."""
+    """The inertia, shaft or lash that a measure refers to. Raises ValueError, with what is allowed, without any."""
     elements = _PARTS[measure.quantity]
     names = {
         "inertia": config.driveline.names or (None,) * len(config.driveline.inertias),

@@ -1,7 +1,7 @@
-"""Tables of a sweep: axes, drawn keys with their distributions, and how these are sampled.
+"""Tables of a sweep: axes, drawn keys with their distributions, and the sampling of these.
 
-Points of a space-filling design in the unit cube go through each distribution's quantile function: the marginals are
-exact, and the same seed gives the same sample.
+Points of a space-filling design in the unit cube are mapped by each distribution's quantile function: the marginals
+are exact, and the same seed gives the same sample.
 """
 
 import functools
@@ -20,14 +20,15 @@ from clunk.study.errors import listing
 from clunk.study.tables import LONGEST_AXIS, DrawCount, Findings, NotEmpty, Positive, Seed, Table
 
 LARGEST_GRID = 2**31  # cells
-_SPAN = ("start", "stop", "count", "scale")  # of an axis, instead of its values
-_NEAREST_TO_EDGE = 2.0**-54  # a point at 0 or 1 itself would be an infinite normal value
+_SPAN = ("start", "stop", "count", "scale")  # keys of an axis that replace its values
+_NEAREST_TO_EDGE = 2.0**-54  # least probability, and half of 1 less the largest: at 0 and 1 quantiles may be infinite
 
-_Value = Annotated[float, WithJsonSchema({"type": ["number", "string"]})]  # names of inertias are numbers by then
+# a file may give an inertia by its name, which is replaced by its number before validation
+_Value = Annotated[float, WithJsonSchema({"type": ["number", "string"]})]
 
 
 class Varied(Table):
-    """A key of whose values there are several.
+    """A key that takes several values: base of swept keys (`Axis`) and drawn or fitted keys (`Draw`).
 
     parameter : str, dotted key
     """
@@ -36,12 +37,12 @@ class Varied(Table):
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The parameter alone, where a free one may be several keys, see `clunk.study.models.FreeParameter`."""
+        """The parameter as a tuple of one key, as `clunk.study.models.FreeParameter` may have several."""
         return (self.parameter,)
 
 
 class Axis(Varied):
-    """A swept key with the values that it takes, in the key's unit: evenly spaced, or listed.
+    """A swept key with the values that it takes, in the key's unit: spaced evenly or geometrically, or listed.
 
     start, stop, count, scale : float, float, int, "linear" or "log"; or else
     values : (count,) float
@@ -62,7 +63,7 @@ class Axis(Varied):
         return {"scale": "linear", **stop, **{key: value for key, value in axis.items() if value is not None}}
 
     def contradictions(self) -> Findings:
-        """Require values, or a start, stop and count that make a span."""
+        """Require either values, or a start, stop, count and scale that agree with one another."""
         start, stop, count = self.start, self.stop, self.count
         given = tuple(key for key in ("values", *_SPAN) if getattr(self, key) is not None)
         if given not in (("values",), _SPAN):
@@ -83,7 +84,10 @@ class Axis(Varied):
         return len(self.values) if self.values is not None else self.count or 0
 
     def place_of(self, position: int) -> tuple[str | int, ...]:
-        """Place in the axis of the key that gives the value at a position; empty where none does alone."""
+        """Place, in the axis's table, of the key that gives the value at a position: an item of values, start or stop.
+
+        Empty for values between start and stop, which no key gives alone.
+        """
         if self.values is not None:
             return "values", position
         return {0: ("start",), self.count_of_values - 1: ("stop",)}.get(position, ())
@@ -94,7 +98,7 @@ class Axis(Varied):
         return _grid(self)
 
 
-@functools.lru_cache(maxsize=16)  # not kept in the axis itself, where it would count when two are compared
+@functools.lru_cache(maxsize=16)  # an attribute of the axis would take part in comparisons
 def _grid(axis: Axis) -> Floats:
     if axis.values is not None:
         grid = np.array(axis.values, dtype=np.float64)
@@ -104,7 +108,7 @@ def _grid(axis: Axis) -> Floats:
         k, last = np.arange(axis.count_of_values), max(axis.count_of_values - 1, 1)
         if axis.scale == "log":
             grid = axis.start * (axis.stop / axis.start) ** (k / last)
-        else:  # multiplied before divided: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
+        else:  # multiplication before division: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
             grid = axis.start + (axis.stop - axis.start) * k / last
         # rounding must not carry a value out of a range that allows both ends
         grid = grid.clip(min(axis.start, axis.stop), max(axis.start, axis.stop))
@@ -117,7 +121,7 @@ def _grid(axis: Axis) -> Floats:
 # --- Drawn keys ------------------------------------------------------------------------------------------------------
 
 
-# Distribution -> the numbers that it needs, and those that it may have
+# Distribution -> its required numbers, and its optional ones
 _NUMBERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "uniform": (("low", "high"), ()),
     "normal": (("std",), ("mean", "low", "high")),
@@ -132,7 +136,7 @@ class Draw(Varied):
     distribution : "uniform" from low to high; "normal" by mean and std, or "lognormal" by its median and sigma, the
         standard deviation of its logarithm, which low and high truncate; or "triangular" from low to high, whose
         density peaks at mode
-    draws : what the number is: the key's value, a factor on its nominal value, or an offset from that
+    draws : whether the number is the key's value, a factor on its nominal value, or an offset from that
     """
 
     distribution: Literal["uniform", "normal", "lognormal", "triangular"]
@@ -168,25 +172,28 @@ class Draw(Varied):
 
     @np.errstate(invalid="ignore")
     def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
-        """Quantiles of the drawn number at these probabilities, around the nominal value of its key; NaN of none."""
+        """Quantiles of the drawn number at these probabilities; NaN where it has no probability from low to high.
+
+        nominal : value of the key, in its unit: mean or median of a drawn value whose own is left out
+        """
         numbers = self.numbers(nominal)
         low, high = numbers.get("low", -math.inf), numbers.get("high", math.inf)
         distribution = _distribution(self.distribution, numbers)
         u = np.clip(probability, _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
         below, within = distribution.cdf([low, high])
         beyond, above = distribution.sf([low, high])
-        if below > 0.5:  # by the probability above a number, which has the digits there
+        if below > 0.5:  # probabilities above a number keep their digits here
             share, values = beyond - above, distribution.isf(beyond + u * (above - beyond))
         else:
             share = 1.0 - below - above if above <= 0.5 else within - below
             values = distribution.ppf(below + u * share)
         if not share > 0.0:
-            values = np.full_like(values, np.nan)  # none of the distribution is from low to high
-        # the inverse of a distribution function is rounded: no value may leave the bounds for that
+            values = np.full_like(values, np.nan)  # the distribution has no probability from low to high
+        # rounding of the inverse distribution function must not carry a value out of the bounds
         return values.clip(low, high)
 
     def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> Floats:
-        """Values of the key, from the numbers that were drawn and its nominal value."""
+        """Values of the key from drawn numbers and nominal values, in the shape to which the two broadcast."""
         drawn, nominal = np.asarray(drawn, np.float64), np.asarray(nominal, np.float64)
         if self.draws == "factor":
             return nominal * drawn
@@ -197,7 +204,7 @@ class Draw(Varied):
 
 def _distribution(name: str, n: Mapping[str, float]) -> Any:
     """Frozen scipy distribution of this name with these parameters, not truncated."""
-    from scipy import stats  # most of a second: only where something is drawn
+    from scipy import stats  # the import takes most of a second, and is needed for draws only
 
     if name == "uniform":
         return stats.uniform(n["low"], n["high"] - n["low"])
@@ -215,8 +222,8 @@ class Sampling(Table):
     """Sample of the drawn keys, all together: its method, size and seed.
 
     method : scrambled Sobol points, best in powers of two, or a Latin hypercube
-    count : int, of the sample
-    seed : int, the same one gives the same sample
+    count : int, size of the sample
+    seed : int; the same seed gives the same sample
     """
 
     method: Literal["sobol", "latin-hypercube"] = "sobol"
@@ -229,7 +236,7 @@ class Sampling(Table):
 
         sampler = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}[self.method]
         with warnings.catch_warnings():
-            # Sobol points of other counts than powers of two
+            # scipy warns of Sobol points whose count is no power of two
             warnings.filterwarnings("ignore", "The balance properties of Sobol", UserWarning)
             return sampler(dimensions, seed=np.random.default_rng(self.seed)).random(self.count)
 
@@ -237,12 +244,12 @@ class Sampling(Table):
 class Sweep(Table):
     """Runs of a sweep: swept keys, and drawn ones.
 
-    design : the product of the axes, or ("zip") the axes of equal length walked together
-    axes : in order
+    design : the product of the axes ("grid"), or axes of equal length walked together ("zip")
+    axes : swept keys, in order
     samples : keys drawn together, a further dimension of the results
-    tolerances : keys drawn for every cell, of which a cell gets the outcome's statistics
-    sampling : of samples or tolerances
-    boundaries : whether the lines between the labels are traced when it has been run; None is yes on two axes
+    tolerances : keys drawn around every cell; the results have statistics of each cell's outcomes
+    sampling : method, size and seed of the samples or tolerances
+    boundaries : whether boundaries between the labels are traced after the sweep; None: where its map can have them
     """
 
     design: Literal["grid", "zip"] = "grid"
@@ -253,7 +260,11 @@ class Sweep(Table):
     boundaries: bool | None = None
 
     def contradictions(self) -> Findings:
-        """Require something to run, tables that go together, and no more cells than allowed."""
+        """Require axes or draws, tables that go together, and at most `LARGEST_GRID` cells.
+
+        Axes of a zip design must be equally long, and values on an axis of a grid distinct. Samples go with neither
+        tolerances nor a zip design.
+        """
         if not (self.axes or self.samples or self.tolerances):
             yield ("axes",), "missing; must be an array of tables, [[sweep.axes]], or else [[sweep.samples]]"
         counts = [axis.count_of_values for axis in self.axes]
