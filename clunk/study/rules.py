@@ -44,8 +44,8 @@ MOST_STEPS = 1e9  # time steps of one run by rk4; the stepping alone takes about
 MOST_PERIODS = 1e6  # periods of the load in one run; the exact method takes some steps in each
 MOST_REGIMES = 30_000  # regimes of one driveline; as many take some 5 s to prepare
 # Largest ratio of two inertias and of two stiffnesses in one driveline. Where these are added, double precision leaves
-# four digits of the smallest inertia and six of the softest spring. Soft modes have no digits left beside springs that
-# are a hundred times as stiff as the limit.
+# four digits of the smallest inertia and six of the softest spring. At a ratio of stiffnesses a hundred times as large,
+# soft modes have no digits left.
 WIDEST_OF_INERTIAS, WIDEST_OF_SPRINGS = 1e12, 1e10
 FASTEST_RATE = 1e12  # 1/s, largest sqrt(k/J) and c/J on the lightest inertia; atoms vibrate ten times faster
 
@@ -171,7 +171,7 @@ def _sizes(config: Config) -> Findings:
 def _measured(config: Config) -> Findings:
     """Require distinct names that files do not use, parts that exist, and quantities that stay finite.
 
-    Under the restitution model a touch makes contact torques and accelerations at the lashes infinite.
+    Under the restitution model a touch makes contact torques, and accelerations of a lash's inertias, infinite.
     """
     names = [measure.name for measure in config.measures]
     taken = _TAKEN | {variable_of(axis.parameter) for axis in config.swept.axes}
