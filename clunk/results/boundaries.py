@@ -150,7 +150,7 @@ class Boundaries:
         return {self.label(code): float(self.region_area[self.region_label == code].sum()) for code in codes}
 
     def summary(self) -> Rows:
-        """Name and text with the numbers of curves, vertices, junctions and regions, for people."""
+        """Pairs of a name and a value that describe the network, for people."""
         name = f"boundaries of {self.lash}" if self.lash else "boundaries"
         parts = [f"{counted(len(self.curve_counts), 'curve')} of {len(self.vertices):,} vertices"]
         parts += [counted(len(self.junctions), "junction"), counted(len(self.region_area), "region")]
@@ -158,7 +158,7 @@ class Boundaries:
 
     @property
     def unresolved_sentence(self) -> str:
-        """A sentence on the unresolved places; empty where there are none."""
+        """A sentence on the places that are unresolved; empty without any."""
         if not len(self.unresolved):
             return ""
         first = zip(self.axes, self.unresolved[0].tolist(), strict=True)

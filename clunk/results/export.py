@@ -31,9 +31,9 @@ def save(path: FilePath, results: AnyMap) -> None:
 
 
 def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
-    """Write a row for each cell: its parameters and its quantities, with codes as words and NaN as an empty field.
+    """Write a row for each cell: its parameters and its quantities, codes as words, and nothing for NaN.
 
-    A quantity with a value for each primary impact, label or quantile has a column for each of these.
+    A quantity of each primary impact, label or quantile has a column for each of these.
     """
     dataset, cells = dataset_of(results), math.prod(results.shape)
     columns: list[tuple[str, Quantity | None, Array]] = []  # heading, and the value in each cell
@@ -58,7 +58,7 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
 
 
 def _write_rows(stream: BinaryIO, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write comma-separated values; numbers have full precision, None is an empty field."""
+    """Write comma-separated values; numbers to full precision, and nothing for None."""
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     write = csv.writer(text, lineterminator="\n")
     write.writerow(headings)

@@ -25,7 +25,7 @@ def label_order(label: str) -> tuple[int, str]:
 
 
 def normalised_label(text: str) -> str:
-    """A label in clunk's notation: "D(1)+S(1)" and "DS(1) SS(1)" become DS(1)SS(1), "S(1)+S(1)" becomes SS(2).
+    """Label in clunk's notation: "D(1)+S(1)" and "DS(1) SS(1)" are DS(1)SS(1), "S(1)+S(1)" is SS(2).
 
     Raises ValueError where the text is no label.
     """

@@ -1,4 +1,4 @@
-"""Maps over swept parameters: regime maps with the outcome of every cell, and tolerance maps with probabilities."""
+"""Maps over swept parameters: regime maps, with the outcome of every cell, and tolerance maps, with probabilities."""
 
 import tomllib
 from abc import ABC, abstractmethod
@@ -53,11 +53,11 @@ def tables_of(config: str) -> Document:
 class Map(Design, ABC):
     """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
 
-    "Shape" stands for the axes' lengths in order. With several lashes the last axis is `lash`, and each lash of a cell
-    counts as a cell; see `of_lash`.
+    "Shape" is the axes' counts in order. Of several lashes the last axis is `lash`, and each lash of a cell counts as a
+    cell; see `of_lash`.
 
     title : str
-    axes : one or more `ResultAxis`; with several lashes the last is `lash`
+    axes : one or more `ResultAxis`; of several lashes the last is `lash`
     labels : code -> label; the code -1 is a failed cell
     config, config_digest : the resolved TOML and its digest
     attributes : versions, date and machine, by name
@@ -68,8 +68,8 @@ class Map(Design, ABC):
         the parameter's values, factors on its nominal value or offsets from it
     boundaries : of a regime map, the curves between the labels, if they have been traced
 
-    Raises ValueError where these are inconsistent: the arrays are not those of the map's quantities, an array's shape
-    or dtype is not its quantity's, or a code has no label.
+    Raises ValueError where these do not belong together: where the arrays are not those of the map's quantities, an
+    array's shape or dtype is not its quantity's, or a code has no label.
     """
 
     title: str
@@ -122,7 +122,7 @@ class Map(Design, ABC):
         return ", ".join([PROFILES[load["profile"]].name, *numbers(load, [*without, *swept])])
 
     def __getattr__(self, name: str) -> Array:
-        """The array of the quantity of this name."""
+        """A quantity's array."""
         array: Array | None = self.__dict__.get("arrays", {}).get(name)
         if array is None:
             raise AttributeError(f"{type(self).__name__} has no {name}")
@@ -147,7 +147,7 @@ class Map(Design, ABC):
         return self.arrays[name] if name in self.arrays else quantity_of(name, this).of_runs(this)
 
     def plot_label(self, quantity: Quantity) -> str:
-        """Name, symbol and unit of a quantity of cells, beside an axis or a colour bar.
+        """Name of a quantity of cells, with symbol and unit, beside an axis or a colour bar.
 
         In a tolerance map a yes/no quantity is named as the probability of the condition.
         """
@@ -203,13 +203,13 @@ class Map(Design, ABC):
 
     @property
     def label_map(self) -> npt.NDArray[np.str_]:
-        """Label of each cell, shape; ``failed`` where the run failed. In a tolerance map, the most likely label."""
+        """Label of each cell, shape; ``failed`` where the run failed. Of a tolerance map, the most likely one."""
         return np.array(self.coded_labels)[self.sequence]
 
     def counts(self) -> dict[str, int]:
-        """Number of cells of each label in the labels' order, zeros included, and last the number of ``failed`` cells.
+        """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0).
 
-        In a tolerance map, the cells in which the label is the most likely one are counted.
+        Of a tolerance map, cells in which the label is the most likely one.
         """
         sequence = self.sequence.ravel().astype(np.intp)
         cells = np.bincount(sequence - FAILED_CODE, minlength=len(self.coded_labels))
@@ -260,7 +260,7 @@ class Map(Design, ABC):
 
     @abstractmethod
     def label_table(self) -> list[dict[str, str]]:
-        """A row for each label that occurs, with its share of the map, for people: texts by heading."""
+        """A row for each label that occurs, with its part of the map, for people: texts by heading."""
 
     @property
     @abstractmethod
@@ -274,7 +274,7 @@ class Map(Design, ABC):
 
 
 def share(count: int, cells: int) -> str:
-    """A number of cells and their share of all cells, for people: ``21 cells, 4.8 %``."""
+    """A number of cells and their part of all cells, for people: ``21 cells, 4.8 %``."""
     return f"{counted(count, 'cell')}, {100.0 * count / cells:.1f} %"
 
 
@@ -460,7 +460,7 @@ class ToleranceMap(Map):
         return np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
 
     def numbers(self, name: str) -> Floats:
-        """The mean of the severity, or the quantile of this name, in each cell  [rad/s²]."""
+        """The severity's mean or one of its quantiles in each cell."""
         if name in _QUANTILE_NAMES:
             return np.ascontiguousarray(self.severity_quantiles[..., _QUANTILE_NAMES.index(name)])
         return self.severity_mean
@@ -506,7 +506,7 @@ class ToleranceMap(Map):
         return int(np.count_nonzero(self.certainty < CERTAIN))
 
     def shares(self) -> dict[str, float]:
-        """Share of each label in all runs of all cells, and last the share of ``failed`` runs."""
+        """Share of each label in all runs; last that of ``failed``."""
         total = self.runs.reshape(-1, self.runs.shape[-1]).sum(axis=0, dtype=np.int64)
         return dict(zip(self.coded_labels, (total / total.sum()).tolist(), strict=True))
 

@@ -2,7 +2,7 @@
 
 This module knows nothing of quantities.
 
-A file that is missing, foreign, of another version or not as it was written raises a `StoreError` whose text is one
+A file that is missing, foreign, of another version or not as it was written ends in a `StoreError` whose text is one
 sentence.
 
 A checksum of the file's bytes follows the end of the HDF5 data, and is compared before the HDF5 library reads the file:
@@ -68,7 +68,7 @@ class Dataset(NamedTuple):
     attributes: Mapping[str, str]
 
     def padded(self, name: str) -> Array:
-        """Values of a variable in the shape of its dimensions; after the last entry of a cell NaN (floats) or 0."""
+        """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
         values = self.variables[name].values
         return values if values.ndim == len(self.variables[name].dims) else _padded(values, *self.places(name))
 
@@ -104,7 +104,7 @@ def flags(meanings: Mapping[int, str], dtype: npt.DTypeLike, *, masks: bool = Fa
 
 
 def meanings_of(variable: Variable) -> dict[int, str]:
-    """Word of each of a variable's integers, from its CF attributes. Raises KeyError or ValueError without these."""
+    """Word of each of a variable's integers, by its CF attributes. Raises KeyError, ValueError without these."""
     codes, words = np.asarray(variable.attributes["flag_values"]), str(variable.attributes["flag_meanings"]).split()
     return dict(zip(codes.tolist(), words, strict=True))
 
@@ -134,12 +134,11 @@ def write(path: FilePath, dataset: Dataset, scratch: Path | None = None) -> None
     Missing parent directories are made. The incomplete file is in `scratch`, by default in the same directory. Raises
     ClunkError.
 
-    The file is assembled in memory (a results file takes about 65 bytes a cell): where HDF5 itself writes to a full
-    disk, it not only fails, but leaves handles that crash the interpreter when it exits. Python's own write fails
-    cleanly.
+    The file is assembled in memory (a results file takes about 65 bytes a cell): HDF5 writing to a full disk does not
+    only fail, it leaves handles that crash the interpreter when it exits. Python's own write fails cleanly.
     """
     image = io.BytesIO()
-    with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 requires creation order
+    with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 asks for creation order
         file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
         _set_attributes(
             file,

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 TEXT, NUMBER, WHOLE, YES_NO = "label", "number", "whole number", "yes/no"  # types of quantities
 LABEL, CHATTER, NOMINAL = "label", "chatter", "nominal_label"
-_SIDED = {"single_sided": "SS", "double_sided": "DS", "opposite_sided": "OS", "crossed": "CR"}  # -> word in a label
+_SIDED = {"single_sided": "SS", "double_sided": "DS", "opposite_sided": "OS", "crossed": "CR"}  # -> the word in labels
 _SHORT = {word: name for name, word in _SIDED.items()} | {"NI": "label=NI", "REGIMES": LABEL}
 _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     "<=": (operator.le, "is at most"),
@@ -238,7 +238,7 @@ def named_numbers(quantities: Quantities) -> Quantities:
 
 
 def quantities_of(source: Study | AnyMap) -> Quantities:
-    """The quantities of a study's runs, or of a map's cells, by the names that options take.
+    """The quantities of a study's runs, or those that a map has in each cell, by the names that options take.
 
     The label comes first. Comparisons such as ``severity<=8000`` are not among them; see `quantity_of`.
     """
@@ -266,7 +266,7 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
         names = [*known, *["severity<=8000"] * (not is_drawn), "label=DS(1)SS(1)"]
         likely = nearest(name, names)
         hint = f"; did you mean {likely}?" if likely else "."
-        if name in OF_IMPACTS and "margin" in known:  # a tolerance map has no margin, nor these
+        if name in OF_IMPACTS and "margin" in known:  # a tolerance map has neither margin nor these
             hint = f"; impacts.quantities = [{name!r}] in the config measures it."
         raise ClunkError(f"There is no quantity {shorten(text)} here; there are {listing(names)}{hint}")
     if (

@@ -33,7 +33,7 @@ from clunk.study.document import FilePath
 if TYPE_CHECKING:
     import xarray
 
-_KIND = "kind"  # attribute of the dataset of a tolerance map; a regime map's has none
+_KIND = "kind"  # attribute of a tolerance map; a regime map has none
 _TOLERANCE_MAP = "tolerance map"
 _FIELDS = ("title", "config", "config_digest", _KIND)  # attributes of a dataset that are not in a map's `attributes`
 _DIMENSIONS = {  # dimension behind a map's axes -> attributes of its coordinate
@@ -42,7 +42,7 @@ _DIMENSIONS = {  # dimension behind a map's axes -> attributes of its coordinate
     "quantile": {"units": "1", "long_name": "quantile of the runs of the sample"},
     "draw": {"units": "1", "long_name": "number of the draw"},
 }
-_DRAWN = "drawn_"  # prefix of the names of the sample's variables
+_DRAWN = "drawn_"  # begins the names of the sample's variables
 
 
 def write_results(path: FilePath, results: AnyMap, scratch: Path | None = None) -> None:
@@ -219,7 +219,7 @@ def open_results(path: FilePath) -> xarray.Dataset:
 
 
 def to_dataset(results: AnyMap) -> xarray.Dataset:
-    """Convert a map to the xarray Dataset that `open_results` makes of its file.
+    """Convert results to the xarray Dataset that `open_results` makes of their file.
 
     Raises
     ------

@@ -123,7 +123,7 @@ def parameters_of(varied: Iterable[ResultAxis | Varied]) -> list[str]:
 
 
 def run_axis(along: Iterable[ResultAxis]) -> ResultAxis:
-    """The axis `run`, along which these parameters change together."""
+    """The dimension of runs along which these parameters change together."""
     along = tuple(along)
     return ResultAxis(RUN, np.arange(1.0, len(along[0]) + 1.0), RUN, "", "1", along=along)
 

@@ -1,9 +1,9 @@
-"""Loading a config as a `Study`: parse, merge preset and overrides, fill in what axes imply, validate, report errors.
+"""A config becomes a `Study`: parse, merge preset and overrides, fill in what axes imply, validate, or report.
 
     text ──parse──▶ document ──preset, --set, axes──▶ whole document ──models, rules──▶ Study
 
-In a `Study` names of items are resolved to numbers and every default is filled in, so that the TOML of `to_toml`
-describes a run completely.
+In a `Study` names are resolved to numbers and every default is filled in, so that `to_toml` writes all there is to know
+about a run.
 """
 
 import copy
@@ -88,7 +88,7 @@ def study_from_text(
     Parameters
     ----------
     text : TOML
-    source : name of the text in a report of errors
+    source : name of the text in a report
     overrides : str or sequence of str, "load.ratio=7"
     folder : path, to which paths of files in the text are relative; those in overrides are relative to the current
         directory
@@ -266,7 +266,7 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
     the parameters of sweep, fit and optimisation become numbers, and so do names of inertias among an axis's values.
     Returns findings on these parameters.
 
-    assigned : places that were set on the command line, which no axis may sweep
+    assigned : keys that were set on the command line, which no axis may sweep
     """
     findings = []
     profile = str(value_at(document, ("load", "profile")) or "step")
@@ -306,7 +306,7 @@ def _fill_in(document: Document, assigned: Sequence[Place]) -> list[Finding]:
                     findings.append(((*at, "values", k), str(error)))
             entry["values"] = numbers or [1]  # unknown names are already among the findings
         text = f"{dotted(at)} sweeps {parameter}: set the axis's values, or, of one run, choose one by --at"
-        set_instead = instead if place[0] == "lash" else []  # `complaint` reports other torques
+        set_instead = instead if place[0] == "lash" else []  # else `complaint` reports the axis
         findings += [(each, text) for each in (place, *set_instead) if each in assigned]
         is_missing = not any(value_at(document, each) is not None for each in (place, *instead))
         is_needed = is_missing and not known.is_optional and isinstance(place[-1], str)

@@ -73,7 +73,7 @@ class Design:
 
 
 def axis_of(parameter: str, values: Floats) -> ResultAxis:
-    """Axis of a parameter with these values, (n,) float64 in its key's unit."""
+    """Axis of a parameter, (n,) float64 in its key's unit."""
     known = quantity(parameter)
     return ResultAxis(parameter, values, known.name, known.symbol, known.unit)
 
@@ -102,7 +102,7 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     Parameters
     ----------
     study : Study
-        Its own sweep is ignored.
+        Its sweep is left aside.
     points : parameter -> (n,) float, in the key's unit
         For example ``{"load.ratio": ratios, "lash.backlash_deg": gaps}``; n is 1 or more, the same for all parameters.
 
@@ -144,13 +144,13 @@ def with_cells(study: Study) -> Study:
     """
     if study.swept.axes or study.swept.samples:
         return nominal(study)
-    parameter = dotted((*study.lash_places[0], "backlash_deg"))  # any other key that every study has would do
+    parameter = dotted((*study.lash_places[0], "backlash_deg"))  # any key does that every study has
     axis = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
     return study.but(sweep=Sweep(axes=(axis,)))
 
 
 def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
-    """The study with some axes reduced to one value each; values : parameter -> value, in the key's unit."""
+    """The study with some axes cut down to one value each; values : parameter -> value, in the key's unit."""
     axes = tuple(
         Axis(parameter=axis.parameter, values=(values[axis.parameter],)) if axis.parameter in values else axis
         for axis in study.swept.axes
@@ -159,7 +159,7 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
 
 
 def unused_parameters(study: Study) -> list[str]:
-    """Swept, drawn, fitted or free keys that have no effect under the study's contact model."""
+    """Swept, drawn, fitted or free keys that change nothing in the study's contact model."""
     keys = [key for _, table in varied_tables(study) for key in table.keys]
     return [key for key in keys if is_unused(study, key)]
 

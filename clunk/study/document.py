@@ -19,7 +19,7 @@ from clunk.study.errors import ConfigError, Problem, nearest, shorten
 
 Place = tuple[str | int, ...]
 FilePath = str | PathLike[str]
-Document = dict[str, Any]  # tables of a config, as tomllib returns them
+Document = dict[str, Any]  # tables of a config, as TOML has them
 
 _LARGEST_FILE = 64 * 2**20  # bytes; a device or a results file must not fill the memory before it is refused
 _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the stack

@@ -1,6 +1,6 @@
-"""Keys of a config, derived from the models: JSON Schema of a file, and each key's bounds, allowed words and unit.
+"""Keys of a config, as the models describe them: JSON Schema of a file, and each key's bounds, words and unit.
 
-`validated` validates tables by their models, and returns every error as a sentence at its place.
+Tables are validated by their models, with every error as a sentence at its place.
 """
 
 import functools
@@ -183,7 +183,7 @@ def validated(model: type[Model], table: Any, at: Place = ()) -> tuple[Model | N
     unknown = {place: _likely_key(place) for place, detail in errors if detail["type"] == "extra_forbidden"}
     findings = []
     for place, detail in errors:
-        # one error for each mistake: a misspelt key is not also missing, nor a list of wrong items also too short
+        # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
         inner = [other for other, _ in errors if len(other) > len(place) and other[: len(place)] == place]
         is_list_of_wrong = detail["type"] == "too_short" and inner
         if detail["type"] == "clunk":

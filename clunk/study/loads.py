@@ -58,7 +58,7 @@ _NUMBER = re.compile(r"[-+]?(\.?\d|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 
 class Load(Table):
-    """The torque on one inertia: steady until the load step, and from then on given by the profile.
+    """The torque on one inertia: steady until the load step, and from then on as its profile says.
 
     T0 is the torque before the load step and T1 the one to which it changes: T0 = Ts (1 + σr) and T1 = Ts for
     static_torque Ts and ratio σr (report Eqs. 2.2 and 2.4), or initial_torque and final_torque. t is the time after the
@@ -123,7 +123,7 @@ class Load(Table):
         yield from self._points()
 
     def _points(self) -> Findings:
-        """Require as many torques as times, and times in order; or a file in place of both."""
+        """Require as many torques as times, in order, or a file in place of both."""
         times, torques = self.times, self.torques
         if self.file is not None:
             together = "given beside times or torques; give file alone, or both of these"
@@ -138,7 +138,7 @@ class Load(Table):
 
 
 def uses(profile: str, key: str) -> bool:
-    """Whether a load of this profile uses a key of [load]."""
+    """Whether a load of this profile uses a key."""
     return key in ("on", "step_time", *(PROFILES[profile].keys if profile in PROFILES else ()))
 
 
@@ -159,7 +159,7 @@ def numbers(load: Document, without: Container[str] = ()) -> list[str]:
 
 
 def disorder(times: Sequence[float]) -> Iterator[tuple[int, str]]:
-    """Yield position and reason of the first time of a table that is out of order; nothing where all are in order."""
+    """Yield the position of the first time of a table that is out of order, if there is one, and what is wrong."""
     if times and times[0] != 0.0:
         yield 0, f"found {times[0]:g}; the first time must be 0, the load step"
         return

@@ -144,7 +144,7 @@ class DrivelineConfig(Table):
 class Contact(Table):
     """Contact of the flanks: a spring and damper, or impacts of rigid flanks.
 
-    Keys that the model does not use are validated all the same.
+    Keys that the model does not use are checked all the same.
 
     model : "indentation", a spring and damper, or "restitution", impacts of rigid flanks
     stiffness, damping : float or None, at the radius  [N/m, N s/m]; not used by the restitution model
@@ -208,7 +208,7 @@ def _degrees(gap_mm: float, radius: float) -> float:
 
 
 class Solver(Table):
-    """Method, step and limits of a run. Keys that the method does not use are validated all the same.
+    """Method, step and limits of a run. Keys that the method does not use are checked all the same.
 
     method : "rk4", fixed-step with bisection of events, or "exact", by the modes of each regime
     step : float, time step of rk4  [s]; not used by the exact method
@@ -305,7 +305,7 @@ class Fit(Table):
 class FreeParameter(Table):
     """A number that an optimisation varies from low to high, in its key's unit.
 
-    parameter : dotted key, or several keys that all take the same number
+    parameter : dotted key, or several keys that all take the number
     """
 
     parameter: Annotated[
@@ -343,7 +343,7 @@ class Optimize(Table):
 
 
 class Config(Table):
-    """Tables of a config, each valid by itself; `lash` is a tuple where there are several lashes."""
+    """Tables of a config, each sound by itself; of several lashes `lash` is a tuple."""
 
     title: Annotated[Text, Field(min_length=1)] = "Untitled"
     driveline: DrivelineConfig
@@ -426,7 +426,7 @@ def lash_position(name: WhichLash, names: Sequence[str]) -> int:
 
 
 def part_of(measure: Measure, config: Config) -> Part:
-    """The inertia, shaft or lash that a measure refers to. Raises ValueError, with what is allowed, without any."""
+    """The inertia, shaft or lash that a measure refers to. Raises ValueError where there is none."""
     elements = _PARTS[measure.quantity]
     names = {
         "inertia": config.driveline.names or (None,) * len(config.driveline.inertias),

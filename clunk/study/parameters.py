@@ -28,7 +28,7 @@ Names = Mapping[str, Sequence[Any]]  # "driveline.inertias", "driveline.shafts",
 def place_of(parameter: str, names: Names) -> Place | None:
     """Place of a dotted key, with item names resolved to positions; None where it is malformed or a name is unknown.
 
-    A single lash may be numbered or named all the same: ``lash[1].radius`` is then ``lash.radius``.
+    The only lash may be numbered or named, too: ``lash[1].radius`` is then ``lash.radius``.
     """
     place = parse_place(parameter) or ()
     for k, step in enumerate(place):
@@ -83,7 +83,7 @@ def spellings(document: Any) -> dict[str, str]:
 
 
 def numbered(parameters: Iterable[str], document: Any) -> list[str]:
-    """Parameters with item names replaced by numbers, as in the axes of a sweep; unknown ones unchanged."""
+    """Parameters as a sweep writes them, with numbers of items in the place of names; unknown ones as they are."""
     written = spellings(document)
     return [written.get(parameter, parameter) for parameter in parameters]
 

@@ -28,7 +28,7 @@ _MOST = 30  # most rows of a table in a text; JSON has all rows
 
 @dataclass(frozen=True)
 class Told:
-    """Heading, unit and format of a value of a record.
+    """Heading, unit and format of a value.
 
     heading : for people; empty where the value is for scripts alone
     unit : as people write it; empty where there is none
@@ -278,7 +278,7 @@ def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str
 
 
 def counted(count: int, noun: str) -> str:
-    """A count with its noun, in the plural except for 1, for example ``1,024 cells``."""
+    """A number of things, for example 1,024 cells."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
@@ -303,5 +303,5 @@ def capital(text: str) -> str:
 
 
 def cut(text: str, width: int) -> str:
-    """A text cut to `width` characters; the last one is … where the text was longer."""
+    """A text of at most `width` characters, the last of them … where it was longer."""
     return text if len(text) <= width else text[: width - 1] + "…"

@@ -1,4 +1,4 @@
-"""Rules that tie keys of different tables to one another, for configs whose tables are each valid.
+"""Rules that tie keys of different tables to one another, for configs whose tables are sound by themselves.
 
 Rules that each run must keep are checked on the config itself, and then at the extreme values that sweep, draws, fit
 and optimisation give to keys: one key at a time, and those of sweep and draws also two at a time.

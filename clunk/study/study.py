@@ -22,7 +22,7 @@ from clunk.study.tables import Findings
 class Study(Config):
     """A config that has passed all rules: everything that decides what a run or a sweep computes.
 
-    Made by `load_study`, `study_from_text` and `replace_values`; a study built by hand is validated by the same rules.
+    Made by `load_study`, `study_from_text` and `replace_values`; built by hand, it is held to the same rules.
     """
 
     def contradictions(self) -> Findings:
@@ -55,7 +55,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def takes_study(function: Function) -> Function:
-    """Decorate a function whose first argument is a study, so that any other argument raises a ClunkError."""
+    """Decorate a function whose first argument is a study: anything else raises a ClunkError."""
 
     @wraps(function)
     def checked(study: Study, *rest: Any, **options: Any) -> Any:
@@ -134,5 +134,5 @@ def decisive_content(study: Study) -> Document:
 def digest(study: Study) -> str:
     """SHA-256 of everything that decides the results."""
     canonical = json.dumps(decisive_content(study), sort_keys=True, separators=(",", ":"), allow_nan=False)
-    canonical = re.sub(r"-0\.0(?=[,\]}])", "0.0", canonical)  # zeros of either sign are equal
+    canonical = re.sub(r"-0\.0(?=[,\]}])", "0.0", canonical)  # zeros are equal, whatever their signs
     return hashlib.sha256(canonical.encode("utf-8")).hexdigest()

@@ -1,7 +1,7 @@
-"""Tables of a sweep: axes, drawn keys with their distributions, and the sampling of these.
+"""Tables of a sweep: axes, drawn keys with their distributions, and how these are sampled.
 
-Points of a space-filling design in the unit cube are mapped by each distribution's quantile function: the marginals
-are exact, and the same seed gives the same sample.
+Points of a space-filling design in the unit cube go through each distribution's quantile function: the marginals are
+exact, and the same seed gives the same sample.
 """
 
 import functools
@@ -108,7 +108,7 @@ def _grid(axis: Axis) -> Floats:
         k, last = np.arange(axis.count_of_values), max(axis.count_of_values - 1, 1)
         if axis.scale == "log":
             grid = axis.start * (axis.stop / axis.start) ** (k / last)
-        else:  # multiplication before division: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
+        else:  # multiplied before divided: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
             grid = axis.start + (axis.stop - axis.start) * k / last
         # rounding must not carry a value out of a range that allows both ends
         grid = grid.clip(min(axis.start, axis.stop), max(axis.start, axis.stop))
@@ -121,7 +121,7 @@ def _grid(axis: Axis) -> Floats:
 # --- Drawn keys ------------------------------------------------------------------------------------------------------
 
 
-# Distribution -> its required numbers, and its optional ones
+# Distribution -> the numbers that it needs, and those that it may have
 _NUMBERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "uniform": (("low", "high"), ()),
     "normal": (("std",), ("mean", "low", "high")),
@@ -136,7 +136,7 @@ class Draw(Varied):
     distribution : "uniform" from low to high; "normal" by mean and std, or "lognormal" by its median and sigma, the
         standard deviation of its logarithm, which low and high truncate; or "triangular" from low to high, whose
         density peaks at mode
-    draws : whether the number is the key's value, a factor on its nominal value, or an offset from that
+    draws : what the number is: the key's value, a factor on its nominal value, or an offset from that
     """
 
     distribution: Literal["uniform", "normal", "lognormal", "triangular"]

@@ -71,7 +71,7 @@ class Quantity:
     """Name, symbol and unit of what a numeric key measures; only such keys can be swept, drawn or replaced.
 
     name, symbol : for people, e.g. ``load ratio`` and ``σr = Td/Ts``; ``{}`` stands for an item's number
-    unit : in the notation of udunits, ``1`` for none
+    unit : as udunits reads it, ``1`` for none
     """
 
     name: str
@@ -107,7 +107,7 @@ def converted(table: Any, key: str, target: str, convert: Callable[[float], floa
 
 
 def _one_line(text: str) -> str:
-    # control characters and lone surrogates can be written neither to a terminal nor to a results file
+    # control characters and broken Unicode can be written neither to a terminal nor to a results file
     if any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
         raise refusal(f"found {shorten(text)}; must be text on one line")
     return text
