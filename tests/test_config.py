@@ -547,6 +547,9 @@ def test_missing_file_names_the_nearest(tmp_path):
     (tmp_path / "figure.toml").write_text(PRESET)
     with pytest.raises(ConfigError, match=r"figrue\.toml does not exist; did you mean .*figure\.toml\?"):
         load_study(tmp_path / "figrue.toml")
+    (tmp_path / "TRUCK-6X4.toml").write_text(PRESET)
+    with pytest.raises(ConfigError, match=r"did you mean .*TRUCK-6X4\.toml\?"):
+        load_study(tmp_path / "truck-6x2.toml")
     with pytest.raises(ConfigError, match=r"nothing\.txt does not exist\.$"):
         load_study(tmp_path / "away" / "nothing.txt")
     with pytest.raises(ConfigError, match="cannot be read: Is a directory; a config is a TOML file"):

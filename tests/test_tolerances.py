@@ -188,7 +188,7 @@ class TestFailedRuns:
         assert shares == pytest.approx(found.runs[:, :-1][:, crossing].sum(axis=-1) / finished)
         assert found.certainty == pytest.approx(found.runs[:, :-1].max(axis=-1) / finished)
         (caveat,) = found.caveats
-        assert "maps are drawn of the others" in caveat
+        assert "maps show the other runs" in caveat
         titles = [ax.get_title(loc="left") for ax in clunk_api.draw(found).axes]
         assert any(caveat in " ".join(title.split()) for title in titles)
 

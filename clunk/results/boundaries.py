@@ -164,8 +164,8 @@ class Boundaries:
         first = zip(self.axes, self.unresolved[0].tolist(), strict=True)
         at = ", ".join(f"{axis.parameter} = {value:.6g}" for axis, value in first)
         return (
-            f"unresolved: {counted(len(self.unresolved), 'place')}, first {at}; labels change there more finely than "
-            "the runs along lines tell, or by rounding"
+            f"unresolved: {counted(len(self.unresolved), 'place')}, first {at}; there labels change more finely than "
+            "the runs along the lines can show, or rounding decides them"
         )
 
     def meeting_rows(self) -> list[dict[str, str]]:

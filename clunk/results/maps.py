@@ -493,7 +493,7 @@ class ToleranceMap(Map):
         if not cells.any():
             return []
         affected, most = counted(int(np.count_nonzero(cells)), "cell"), percent(cells.max(), self.draws)
-        return [f"failed: up to {most} of the runs in {affected}; maps are drawn of the others"]
+        return [f"failed: up to {most} of the runs in {affected}; maps show the other runs"]
 
     @property
     def failed(self) -> int:

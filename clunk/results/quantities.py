@@ -290,8 +290,8 @@ def quantity_of(text: str, source: Study | AnyMap) -> Quantity:
     )
     if is_drawn and compared.of_label("NI") is None:
         raise ClunkError(
-            f"A tolerance map has no {compared.name}: it keeps what its draws have in the mean and their quantiles, "
-            "not in how many of them a number is within a bound."
+            f"A tolerance map has no {compared.name}: it keeps the mean and the quantiles of a number over its "
+            "draws, not the share of draws in which the number is within a bound."
         )
     meaning = f"{quantity.heading} {_RELATIONS[relation][1]} {bound_text} {quantity.unit_symbol}".rstrip()
     meaning = f"the {meaning}" if quantity.type == TEXT else meaning

@@ -82,13 +82,14 @@ def shorten(value: object) -> str:
 
 
 def nearest(name: object, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The known name most similar to `name` in lower case; None where no name is similar enough, or `name` is no text.
+    """The known name most similar to `name`, both in lower case; None where none is similar enough, or it is no text.
 
     cutoff : least similarity, from 0 to 1, as in `difflib.get_close_matches`
     """
     if not isinstance(name, str):
         return None
-    return next(iter(difflib.get_close_matches(name[:100].lower(), known, n=1, cutoff=cutoff)), None)
+    lowered = {each.lower(): each for each in known}
+    return next((lowered[each] for each in difflib.get_close_matches(name[:100].lower(), lowered, 1, cutoff)), None)
 
 
 def listing(names: Sequence[str], last: str = "and") -> str:

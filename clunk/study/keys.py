@@ -61,7 +61,7 @@ def json_schema() -> Document:
     for name, table in [("Config", schema), *schema["$defs"].items()]:
         table["required"] = _REQUIRED.get(name, table.get("required", []))
     driveline = schema["$defs"]["DrivelineConfig"]
-    preset = {"enum": list(PRESETS), "description": "fills in whatever the file leaves out"}
+    preset = {"enum": list(PRESETS), "description": "fills in the keys that the file leaves out"}
     driveline["properties"] = {"preset": preset, **driveline["properties"]}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "Config of clunk"}
 

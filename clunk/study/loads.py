@@ -91,7 +91,9 @@ class Load(Table):
     ] = None
     levels: Annotated[
         NotEmpty[Annotated[Bounded, Quantity("level {} of the load", "λ{}", "1")]] | None,
-        Field(max_length=_MOST_LEVELS, description="a list of shares of the torque's change"),
+        Field(
+            max_length=_MOST_LEVELS, description="a list of shares of the change from the initial to the final torque"
+        ),
     ] = None
     times: Annotated[
         NotEmpty[Annotated[NotNegative, Quantity("time {} of the load", "t{}", "s")]] | None,

@@ -310,7 +310,7 @@ class FreeParameter(Table):
 
     parameter: Annotated[
         OneOrSeveral[Text, NotEmpty[Text]],
-        Field(description='a dotted numeric key, or a list of keys that take one value, ["load.levels[1]"]'),
+        Field(description='a dotted numeric key, or a list of keys that all take the same value, ["load.levels[1]"]'),
     ]
     low: float
     high: float

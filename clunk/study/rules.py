@@ -257,7 +257,7 @@ def _undrawable(
         is_around = entry.draws != "value" or any(map(math.isnan, entry.numbers(math.nan).values()))
         needs_value = is_around or table[1] != "samples"
     if needs_value and math.isnan(value):
-        return f"{parameter} needs a value in this config, for the run as it is or for values around it"
+        return f"{parameter} needs a value in this config: for the nominal run, or as the centre of other values"
     return None
 
 
