@@ -1,4 +1,4 @@
-"""Batches of drivelines that are alike but for numbers: arrays that have an axis of D drivelines in front."""
+"""Batches of drivelines of one structure, which differ in numbers only: their arrays have an axis of D in front."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from clunk.core.arrays import IntArray
 class UnlikeError(Exception):
     """Drivelines of a batch differ in more than numbers.
 
-    parts : positions of those that are alike, (n,) each
+    parts : for each group of drivelines that are alike, their positions in the batch, (n,)
     """
 
     def __init__(self, parts: list[IntArray]) -> None:
@@ -20,9 +20,9 @@ class UnlikeError(Exception):
 
 
 def alike(patterns: Any, dimensions: int = 1) -> npt.NDArray[Any]:
-    """The pattern, of so many dimensions, of one driveline, or the one that those of a batch have in common.
+    """The pattern of one driveline, an array of `dimensions` axes, or the one that all drivelines of a batch share.
 
-    Raises UnlikeError where they differ.
+    Raises UnlikeError where the patterns of a batch, with one more axis in front, differ.
     """
     if patterns.ndim == dimensions:
         return patterns

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from clunk.core.arrays import FloatArray, IntArray, Positions
 
 TERMS = 20
-LEVELS = 4  # of steps, each twice as long as the one before: beyond, rounding in fast modes would spoil the series
-CONTACT_TORQUE, CLOSING = 0, 1  # the first channels of a lash, signed like q and q'
-OF_LASH = 2  # and how many these are; behind those of the last lash come the measures
+LEVELS = 4  # of steps, each twice as long as the one before; with more, rounding in fast modes would spoil the series
+CONTACT_TORQUE, CLOSING = 0, 1  # the channels of a lash: its contact torque, signed like q, and q'
+OF_LASH = 2  # channels of each lash; behind those of the last lash come the measures
 
 
 class Channels(NamedTuple):
@@ -22,12 +22,12 @@ class Channels(NamedTuple):
     steps: FloatArray  # (D, K, V, Z, Z)  exp(M h) for a step of each level, transposed
     rates: FloatArray  # (D, K, Z, Z)  M h for the shortest step, transposed
     series: FloatArray  # (D, K, C, Z, TERMS)  coefficients by z, of powers of t/h for the shortest step
-    of_impacts: int  # how many quantities of primary impacts are measured; of none nothing is
+    of_impacts: int  # how many quantities of primary impacts the study asks for; if none, impacts are not measured
     swings: IntArray  # (C - OF_LASH L,)  whether a measure is peak-to-peak, and not the largest magnitude
     contact_stiffness: FloatArray  # (D, L)  N m/rad
     contact_damping: FloatArray  # (D, L)  N m s/rad
 
     def at(self, drivelines: Positions | list[int]) -> "Channels":
-        """Those of some drivelines."""
+        """The channels of the drivelines at some positions."""
         common = "of_impacts", "swings"
         return self._replace(**{name: getattr(self, name)[drivelines] for name in self._fields if name not in common})

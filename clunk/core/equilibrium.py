@@ -1,13 +1,15 @@
-"""Steady motion in contact, before the load step: angles and contact torques, each linear in what drives them.
+"""Steady motion in contact, before the load step: angles and contact torques, as linear functions of the inputs.
 
-Numbers of drivelines have their usual shape for one, and an axis more in front for each of a batch.
+Arrays have the shape given here for one driveline, and one more axis in front for a batch.
 """
 
 import numpy as np
 
 from clunk.core.arrays import FloatArray
 
-_ROUNDING = 1e-11  # of a torque: a load that does not reach the lash, or a gap that does not load it, leaves as much
+# A torque across a lash below this share of the load, or of a gap times the largest stiffness, counts as zero: rounding
+# leaves as much of a load that does not reach the lash, or of a gap that does not load it.
+_ROUNDING = 1e-11
 
 
 def steady_motion(
@@ -20,27 +22,29 @@ def steady_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Angles θ in steady motion with all lashes closed, and the torque τ across each lash, signed like q.
 
-    K θ + lashesᵀ τ = torques and lashes θ - compliance τ = gaps, for both at once: flanks that are stiff beside the
-    shafts are indented by little more than the rounding of angles, which would not tell their torque.
+    Solves K θ + lashesᵀ τ = torques and lashes θ - compliance τ = gaps for θ and τ together: flanks much stiffer than
+    the shafts are indented by little more than the rounding of angles, from which τ could not be found.
 
     Parameters
     ----------
     stiffness : (n, n) float64  [N m/rad]
     torques : (n, m) float64
-        On the inertias, by each of m inputs, less what drag and inertia take of it.
+        On the inertias per unit of each of m inputs, less the torques of drag and inertia in the steady motion.
     lashes : (L, n) float64
         q = row · θ.
     gaps : (L, m) float64
-        s φ/2 of each lash, by each of the inputs.
+        s φ/2 of each lash per unit of each input.
     momentum : (n, 0 or 1) float64
-        Of the rigid-body motion: of the angles that differ by it, those are taken that have none of it in sum.
+        Of each inertia in the rigid-body motion, if there is one. It makes the angles unique: momentumᵀ θ = 0.
     compliance : (L,) float64, or one for all  [rad/(N m)]
         Of each contact; 0 locks q.
 
     Returns
     -------
     angles : (n, m) float64
+        θ per unit of each input.
     across : (L, m) float64
+        τ per unit of each input.
     """
     *batch, n, driven = torques.shape
     scale = _largest(stiffness)
@@ -53,7 +57,7 @@ def steady_motion(
     right = np.zeros((*batch, size, driven))
     right[..., :n, :], right[..., of_lashes, :] = torques, scale * gaps
     solution = np.linalg.solve(matrix, right)
-    solution += np.linalg.solve(matrix, right - matrix @ solution)  # what rounding left
+    solution += np.linalg.solve(matrix, right - matrix @ solution)  # iterative refinement, one step
     across = scale * solution[..., of_lashes, :]
     across[abs(across) <= _ROUNDING * np.where(gaps.any(axis=0), scale, 1.0)] = 0.0
     return solution[..., :n, :], across

@@ -1,6 +1,6 @@
-"""Linear chains: their matrices, and the coordinates in which a constraint on q leaves them free.
+"""Matrices of linear chains, and coordinates of a chain that satisfy the constraints of locked lashes and frictions.
 
-Arrays have their shape for one driveline, or an axis more in front for each of a batch.
+Arrays have the shape given here for one driveline, and one more axis in front for a batch.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ import numpy as np
 from clunk.core.arrays import FloatArray
 from clunk.core.batches import alike
 
-_FITS = 1e-9  # a rate across a lash, relative to those of its ends, that is rounding
-_ROUNDING = 1e-12  # of the terms of a product
+_FITS = 1e-9  # share of the largest entry of a lash's row: a smaller entry of the row in free coordinates is rounding
+_ROUNDING = 1e-12  # share of the magnitudes of a product's terms: a smaller product is rounding
 
 
 def chain(inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, wave: int = 0) -> FloatArray:
-    """A of M θ'' + C θ' + K θ = …; of one driveline, or of each of a batch.
+    """State matrix A, in (θ, θ'), of M θ'' + C θ' + K θ = …; of one driveline, or of each of a batch.
 
-    Behind θ and θ' are `wave` states more, of which nothing is told yet.
+    Behind θ and θ' it has `wave` more rows and columns, which are zero, for the states of a load's wave.
     """
     *batch, n = inertia.shape
     rates = np.zeros((*batch, 2 * n + wave, 2 * n + wave))
@@ -28,11 +28,11 @@ def chain(inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, wave:
 
 
 def locked(matrix: FloatArray, inertia: FloatArray, ties: FloatArray) -> FloatArray:
-    """A or B with q' = 0 of closed lashes as true constraints: inertias that they tie move in a fixed ratio.
+    """A or B under the constraints q' = 0 of locked lashes and frictions: inertias that they tie move in a fixed ratio.
 
-    Without gear ratios such inertias share one acceleration, to the last bit.
+    Without gear ratios, tied inertias have the same acceleration, to the last bit.
 
-    ties : `Reduction.expand` of these lashes
+    ties : `Reduction.expand` of these constraints
     """
     n, left = inertia.shape[-1], ties.shape[-1] // 2
     if left == n:
@@ -47,24 +47,25 @@ def locked(matrix: FloatArray, inertia: FloatArray, ties: FloatArray) -> FloatAr
 class Reduction(NamedTuple):
     """Coordinates y in which a flow has no constraint: (θ, θ') = expand y + shift (s φ/2) and y = pick (θ, θ').
 
-    There is a column of shift, and an s φ/2, for each lash; and for each friction, with the twist at which it sticks.
+    The columns of shift multiply s φ/2 of each lash, and then the twist at which each friction sticks.
     """
 
-    expand: FloatArray
-    pick: FloatArray
-    shift: FloatArray
+    expand: FloatArray  # (2n, 2m)  where m angles are left
+    pick: FloatArray  # (2m, 2n)
+    shift: FloatArray  # (2n, L + M)
 
 
 def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
-    """Without the angle of one inertia at each closed lash, which q = s φ/2 and q' = 0 give; so of stuck frictions.
+    """Coordinates that leave out one angle for each closed lash and stuck friction, whose constraint determines it.
 
-    It is the last of those that turn as q does, not through the gear ratio: q' is then zero to the last bit. Of the
-    rows of `expand`, none has more than one entry for the angles. A lash that the others lock adds nothing.
+    The constraint of a closed lash is q = s φ/2 and q' = 0. The angle left out is that of the last inertia that turns
+    as q does, not through the gear ratio: q' is then zero to the last bit. No row of `expand` has more than one entry
+    for the angles. A lash that the constraints before it lock already adds no constraint.
 
     lashes : (L, n) float64
-        q = row · θ.
+        q = row · θ; frictions, with the twist in place of q, are further rows.
     closed : (L,) of int
-        Whether each is.
+        Whether each lash is closed, or each friction sticks.
     """
     *batch, count, n = lashes.shape
     basis = np.eye(n)
@@ -82,17 +83,17 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
         offset = (-lash @ shift[..., :n, :])[..., 0, :]
         offset[..., k] += 1.0
         shift[..., :n, :] += basis[..., pivot, None] * (offset / row[..., pivot, None])[..., None, :]
-        one = np.tile(np.eye(row.shape[-1]), (*batch, 1, 1))
-        one[..., pivot, :] = -row / row[..., pivot, None]
-        basis = basis @ np.delete(one, pivot, axis=-1)
+        elimination = np.tile(np.eye(row.shape[-1]), (*batch, 1, 1))
+        elimination[..., pivot, :] = -row / row[..., pivot, None]
+        basis = basis @ np.delete(elimination, pivot, axis=-1)
         pick = np.delete(pick, pivot, axis=0)
-    # for the angles, and for the speeds
+    # once for the angles, and once for the speeds
     expand, pick = (np.asarray(np.kron(np.eye(2), matrix), np.float64) for matrix in (basis, pick))
     return Reduction(expand, pick, shift)
 
 
 def product(one: FloatArray, other: FloatArray, rounding: float = _ROUNDING) -> FloatArray:
-    """A product that is zero to the last bit where only rounding is left, a share of its terms."""
+    """Matrix product whose entries of rounding, at most a share `rounding` of their terms' magnitudes, are set to 0."""
     result = one @ other
     result[abs(result) <= rounding * (abs(one) @ abs(other))] = 0.0
     return result

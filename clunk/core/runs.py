@@ -22,32 +22,34 @@ class Start(NamedTuple):
     """The beginning of a run, at the load step; N states, P pieces."""
 
     x: FloatArray  # (N,)  [rad, rad/s]
-    regime: int  # the one that x is in
+    regime: int  # the regime at x
     before: FloatArray  # (INPUTS + L - 1,)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (loads, P, PIECE)  [s, N m, N m/s]
-    load: int  # which of them is the run's
+    load: int  # the row of `loads` that holds the run's load
 
 
 class Log(NamedTuple):
-    """Buffers for a run's events, of which event 0 is the load step, and for what goes with each; L lashes."""
+    """Buffers for a run's events, of which event 0 is the load step, and for extremes and states at each; L lashes."""
 
     events: Records  # (capacity,) EVENT
     # (capacity, L, 2)  largest and smallest acceleration of the window that the last primary impact opened, up to the
-    # end of the phase that follows; before the first one inf and -inf, beyond which nothing is  [rad/s2]
-    extremes: FloatArray
+    # end of the phase that follows; before the first primary impact inf and -inf, which no acceleration exceeds
+    extremes: FloatArray  # [rad/s2]
     courses: Records  # (L,) sequence.COURSE
-    states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
+    states: FloatArray  # (capacity, N)  [rad, rad/s]; or (0, N), where states are not kept
 
 
 class Moment(NamedTuple):
-    """A run at an event: what is known of it there, and may change."""
+    """State, inputs and tolerances of a run at an event, which may change its state and inputs."""
 
     system: System
     time: float  # s after the load step
     x: FloatArray  # (N,)  [rad, rad/s]
     inputs: FloatArray  # (I,)  d; the twists at which frictions begin to stick are written there
-    within: float  # share of its terms that counts as zero of what rests, see `rubbing.tolerance_after`
-    rounded: float  # s, of the terms of an acceleration, above what the method rounds a rate by, see `rubbing.OF_MODES`
+    # share of the terms of a rate, acceleration or torque below which it counts as zero, see `rubbing.tolerance_after`
+    within: float
+    # s; times the terms of an acceleration it gives a rate above the method's rounding of rates, see `rubbing.OF_MODES`
+    rounded: float
 
 
 class Entry(NamedTuple):
@@ -56,7 +58,7 @@ class Entry(NamedTuple):
     written: int  # events so far
     regime: int
     zero_guard: int  # the regime's guard that is zero on entry, or -1
-    zero_order: int  # and how many of its derivatives, itself included, are
+    zero_order: int  # how many of that guard's derivatives are zero on entry, the guard itself included
 
 
 class Outcome(NamedTuple):
@@ -86,7 +88,7 @@ def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs
 
 @inlined_part
 def go_on(system: System, load: FloatArray, piece: int, time: float, x: FloatArray, inputs: FloatArray) -> int:
-    """Set wave, torque and its rate of change to those of the piece that holds from a time on, which is returned."""
+    """Set wave, torque and its rate of change to those of the piece that holds from a time on; return that piece."""
     before, size = piece, 2 * system.inertias
     while piece + 1 < load.shape[0] and load[piece + 1, BEGIN] <= time:
         piece += 1
@@ -100,9 +102,9 @@ def go_on(system: System, load: FloatArray, piece: int, time: float, x: FloatArr
 
 @inlined_part
 def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, lash: int, side: int) -> None:
-    """Write event `k` and the state at it, and take it into its lash's COURSE, which tells whether it is primary.
+    """Write event `k` and the state at the event, and update its lash's COURSE, which decides whether it is primary.
 
-    The phase that it opens is still to come.
+    The extremes beside the event are not written here: the phase that it opens is still to come.
     """
     event = log.events[k]
     event.time = at.time
@@ -118,13 +120,13 @@ def record(at: Moment, log: Log, k: int, speed: float, kind: int, regime: int, l
 
 @part
 def begin_windows(log: Log, k: int) -> None:
-    """Set the extremes beside event `k` to what they are before the phase that it opens."""
+    """Set the extremes beside event `k` to those at the beginning of the phase that the event opens."""
     event = log.events[k]
     for lash in range(log.courses.size):
         window = log.extremes[k, lash]
         if k == 0:
             window[0], window[1] = np.inf, -np.inf
-        elif event.primary and event.lash == lash:  # its window is empty: anything counts
+        elif event.primary and event.lash == lash:  # its window begins empty: any acceleration widens it
             window[0], window[1] = -np.inf, np.inf
         else:
             copy(log.extremes[k - 1, lash], window)
@@ -132,6 +134,6 @@ def begin_windows(log: Log, k: int) -> None:
 
 @part
 def roll_states(system: System, angle: float, log: Log, first: int, written: int) -> None:
-    """Turn the states at events, from the first up to those written, by what the run rolled by  [rad]."""
+    """Turn the kept states at events `first` to `written - 1` by the angle that the run has rolled by  [rad]."""
     for k in range(first, min(written, log.states.shape[0])):
         roll(system, angle, log.states[k])

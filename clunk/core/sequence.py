@@ -17,26 +17,26 @@ from clunk.core.jit import inlined_part
 INITIAL = -1
 OPPOSITE = 1
 
-COURSE = record_of(  # what the flanks of one lash have done so far in a run
+COURSE = record_of(  # the history of one lash's contact in a run so far
     last_side="i8",  # the flank of the last touch, at first the preloaded one (0: none)
-    from_sticking="i8",  # whether they have separated from sticking since
-    contact_began="f8",  # s, of the last contact; -inf of the preloaded one
-    static="f8",  # by exact: the overlap of its flanks at rest, rad, or the torque between rigid ones
-    fastest="f8",  # rad/s, of the touches of rigid flanks
-    least="f8",  # the margin of the run, see clunk.core.exact.margins; NaN by rk4
-    margin="f8",  # of the last touch of rigid flanks, which counts if the next one is of the same flank
+    from_sticking="i8",  # whether the flanks have separated from sticking since that touch
+    contact_began="f8",  # s, begin of the last contact; -inf for the preloaded one
+    static="f8",  # exact only: overlap of the flanks at rest, rad, or torque that locks rigid flanks at rest, N m
+    fastest="f8",  # rad/s, speed of the fastest touch of rigid flanks
+    least="f8",  # the lash's margin, written when the run ends, see clunk.core.exact.margins; NaN by rk4
+    margin="f8",  # exact only: margin of the last touch of rigid flanks; it counts if the next is of the same flank
 )
 
 
 @inlined_part
 def is_primary(side: int, last_side: int, from_sticking: bool) -> bool:
-    """Whether a touch of a flank is primary, after one of another flank or a separation from sticking."""
+    """Whether a touch is primary: not of the flank of the last touch, or after a separation from sticking."""
     return side != last_side or from_sticking
 
 
 @inlined_part
 def take_event(course: Any, event: Any, sticking_time: float) -> bool:
-    """Take an event of a lash into its COURSE; return whether it is a primary impact.
+    """Update the COURSE of a lash by one of its events; return whether the event is a primary impact.
 
     sticking_time : float  [s]
     """

@@ -1,10 +1,10 @@
-"""How a run ended: a value inside, a sentence outside."""
+"""Status of a finished run, an integer in the core with a sentence for the user, and the flags of its quality."""
 
 from enum import IntEnum
 
 
 class Status(IntEnum):
-    """Outcome of one run, as stored in the results file's `status`; anything but `OK` is a failed cell."""
+    """Status of one run, as stored in the results file's `status`; anything but `OK` is a failed cell."""
 
     OK = 0
     NO_EQUILIBRIUM = 1
@@ -15,7 +15,7 @@ class Status(IntEnum):
 
     @property
     def sentence(self) -> str:
-        """The status in a phrase."""
+        """The status as a phrase for the user."""
         return _SENTENCES[self]
 
 
@@ -37,7 +37,7 @@ _SENTENCES = {
     ),
 }
 
-# For kernels, which compare plain integers.
+# The same values as plain integers, which kernels compare.
 OK, NO_EQUILIBRIUM, NO_INITIAL_FLANK, NON_FINITE, EVENT_BUFFER_FULL, UNSTABLE_STEP = map(int, Status)
 INTERRUPTED = 255  # never stored: the cell has to be run again
 

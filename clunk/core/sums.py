@@ -1,4 +1,4 @@
-"""Sums of products, and copies, of a few numbers: within kernels, which allocate nothing."""
+"""Sums of products, and copies, of short arrays, without allocation, for use within kernels."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from clunk.core.jit import compiled, inlined_part, part
 
 @inlined_part
 def weigh(weights: FloatArray, numbers: FloatArray) -> float:
-    """The sum of the weights times numbers."""
+    """The sum of the products of weights and numbers."""
     total = weights[0] * numbers[0]
     for k in range(1, weights.size):
         total += weights[k] * numbers[k]
@@ -17,7 +17,7 @@ def weigh(weights: FloatArray, numbers: FloatArray) -> float:
 
 @part
 def combine(rows: FloatArray, numbers: FloatArray, to: FloatArray) -> None:
-    """Set `to` to the sum of the rows times numbers."""
+    """Set `to` to the sum of the rows, each times its number."""
     to[:] = 0.0
     for k in range(numbers.size):
         for r in range(to.size):
@@ -26,7 +26,7 @@ def combine(rows: FloatArray, numbers: FloatArray, to: FloatArray) -> None:
 
 @inlined_part
 def copy(numbers: FloatArray, to: FloatArray) -> None:
-    """Copy numbers to where there is room for as many or more."""
+    """Copy numbers to the beginning of `to`, which has as many elements or more."""
     for k in range(numbers.size):
         to[k] = numbers[k]
 

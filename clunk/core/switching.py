@@ -1,6 +1,6 @@
 """The preload before the load step, and at each event the switch from one regime to the next.
 
-Detection is not here: whoever flows through a regime says which guard turned negative, and where.
+Events are not detected here: the method that advances the state finds which guard turned negative, and when.
 """
 
 import numpy as np
@@ -16,13 +16,13 @@ from clunk.core.status import NO_EQUILIBRIUM, NO_INITIAL_FLANK, OK
 from clunk.core.sums import copy
 from clunk.core.tables import BEYOND, OPEN, TORQUE
 
-_FASTEST = 1e7  # rad/s, of a part in steady motion: beside such a speed the digits of twists are lost
-MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what has more truly runs away
+_FASTEST = 1e7  # rad/s, highest speed of a part in steady motion: above it, rounding leaves twists too few digits
+MOST_STAGES = 100_000  # most changes of stage, and of what sticks, in a run: only a run that never settles has more
 
 
 @inlined_part
 def set_weighed(system: System, regime: int, inputs: FloatArray, u: FloatArray) -> None:
-    """Set `u` to what a regime makes of the inputs of a run."""
+    """Set `u`, the inputs of a regime, to the inputs of a run times the regime's weights."""
     for k in range(u.size):
         u[k] = system.weights[regime, k] * inputs[k]
 
@@ -31,9 +31,10 @@ def set_weighed(system: System, regime: int, inputs: FloatArray, u: FloatArray) 
 def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int]:
     """Set `x` to steady motion in contact; return the status and the regime.
 
-    The initial flanks are those that press in it. Of the regimes in which all lashes are closed it is the one in which
-    they do, and within whose stages the shafts' steady twists lie; there is at most one, as no stiffness is
-    negative. All frictions stick in these, whose numbers come before those of regimes in which one slips.
+    The initial flanks are those that press on each other in steady motion. The regime returned has all lashes closed,
+    on the flanks that press, and stages that contain the shafts' steady twists; there is at most one such regime, as no
+    stiffness is negative. Regimes in which a friction slips are not tried; their numbers come after those in which all
+    frictions stick.
 
     Parameters
     ----------
@@ -69,14 +70,14 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
 
 @inlined_part
 def steady_torque(system: System, regime: int, lash: int, inputs: FloatArray) -> float:
-    """The torque across a lash, and what rubs beside it, in steady motion in a regime in which it is closed  [N m]."""
+    """Torque across a closed lash, and any friction beside it, in the steady motion of a regime  [N m]."""
     stage = regime // system.regime_strides[system.lash_count]
     return _of_inputs(system, regime, system.contact_torque[stage, lash], inputs)
 
 
 @inlined_part
 def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) -> float:
-    """Sum of inputs, each times its weight in a regime and a factor; inputs that are not given are 1."""
+    """Sum of a run's inputs, each times its weight in a regime and its factor in `by`; inputs left out are 1."""
     total = by[0] * inputs[0]
     for k in range(1, system.input_count):
         total += by[k] * (system.weights[regime, k] * (inputs[k] if k < inputs.size else 1.0))
@@ -85,24 +86,24 @@ def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) 
 
 @part
 def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool]:
-    """Whether the twists of the staged shafts lie, but for rounding, within the stages of a regime.
+    """Whether the staged shafts' twists lie, but for rounding, within a regime's stages, and whether one is loose.
 
-    And whether one of them is at a breakpoint behind which no stiffness tells what it is.
+    A twist is loose at a breakpoint beyond which its shaft has no stiffness that would determine it.
     """
     is_beside_loose = False
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
-        if guard.event_kind == STAGE and guard.successor >= 0:  # what follows where a friction's ends is not known
+        if guard.event_kind == STAGE and guard.successor >= 0:  # a friction's guards have no successor
             value = -BEYOND
             for k in range(system.input_count):
                 value += system.offsets[regime, g, k]
-            scale = abs(value)  # of the breakpoint, with its sign in the guard
+            scale = abs(value)  # the value so far is the breakpoint, or minus that
             for k in range(x.size):
                 term = guard.sign * system.functionals[0, guard.functional, k] * x[k]
                 value += term
                 scale += abs(term)
             is_at_breakpoint = abs(value) <= rubbing.WITHIN * scale
-            if not (is_at_breakpoint or value >= 0.0):  # NaN where no stiffness tells the twist
+            if not (is_at_breakpoint or value >= 0.0):  # also NaN, where no stiffness determines the twist
                 return False, False
             behind = system.steady_motion[guard.successor // system.regime_strides[system.lash_count], 0, TORQUE]
             is_beside_loose = is_beside_loose or (is_at_breakpoint and np.isnan(behind))
@@ -111,11 +112,12 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> tuple[bool, bool
 
 @inlined_part
 def begin_run(system: System, start: Start, inputs: FloatArray, log: Log) -> tuple[int, float]:
-    """Set state and inputs to those at the load step, and write that.
+    """Set state and inputs of a run to those at the load step, and write the load step as event 0.
 
-    Returns the piece of the load, and what the run has rolled by  [rad].
+    Returns the piece of the load, and the angle of the first inertia that rolls, by which the state is turned back
+    [rad].
 
-    inputs : output; what is no torque, gap or twist of a friction is 1 already
+    inputs : output, but for those that are always 1, which have to be set before
     """
     load, contacts = start.loads[start.load], system.contacts[start.regime]
     for lash in range(system.lash_count):
@@ -124,7 +126,7 @@ def begin_run(system: System, start: Start, inputs: FloatArray, log: Log) -> tup
         course.fastest, course.margin, course.least = 0.0, np.inf, np.nan
     copy(start.before, inputs)
     rubbing.stick_all(system, start.x, inputs)
-    piece = go_on(system, load, -1, 0.0, start.x, inputs)  # none before it
+    piece = go_on(system, load, -1, 0.0, start.x, inputs)  # -1: no piece has begun before
     at = Moment(system, 0.0, start.x, inputs, rubbing.WITHIN, rubbing.OF_STEPS)
     record(at, log, 0, 0.0, LOAD_STEP, start.regime, -1, contacts[0].side)
     return piece, turn_back(system, start.x)
@@ -132,30 +134,34 @@ def begin_run(system: System, start: Start, inputs: FloatArray, log: Log) -> tup
 
 @inlined_part
 def may_switch(system: System, log: Log, count: int, stages: int) -> bool:
-    """Whether the event buffer holds what one switch may write, and changes of stage that are not are not too many.
+    """Whether the event buffer has room for one more switch, and `stages` is at most MOST_STAGES.
 
-    That is an event, of each rigid lash a separation, a touch and its lock, and a friction that begins to slip; see
-    `tile.capacity`.
+    A switch may write one event, a separation, a touch and a lock of each rigid lash, and a change of what sticks; see
+    `tile.capacity_of`.
+
+    stages : changes of stage, and of what sticks, that were not written
     """
     return count + 2 + 3 * system.lash_count <= log.events.size and stages <= MOST_STAGES
 
 
 @inlined_part
 def is_instant(at: Moment, log: Log, count: int) -> bool:
-    """Whether the phase that the last of `count` events began has lasted no time: then it has no extremes."""
+    """Whether the phase after the last of `count` events is shorter than INSTANT, so that its extremes do not count."""
     return at.system.element_count > 1 and at.time - log.events[count - 1].time < INSTANT
 
 
 @inlined_part
 def chooses(system: System, regime: int, guard: int) -> bool:
-    """Whether what follows a guard is chosen with the states of all that rests: frictions need not be asked again."""
+    """Whether `rubbing.choose_states` chooses the regime that follows a guard, so that no `recheck` is needed."""
     row = system.guards[regime, guard]
     return row.successor < 0 or (system.impulsive != 0 and row.event_kind == SEPARATION)
 
 
 @inlined_part
 def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
-    """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
+    """Leave a regime by one of its guards: record the event, and return the entry into the next regime.
+
+    A touch of rigid flanks, and a choice among elements at rest, may change the state.
 
     Parameters
     ----------
@@ -180,10 +186,11 @@ def switch(at: Moment, log: Log, regime: int, guard: int, count: int) -> Entry:
 
 @inlined_part
 def recheck(at: Moment, log: Log, entry: Entry, jumps: bool) -> Entry:
-    """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped.
+    """Entry into the regime in which no friction sticks, and no flanks are locked, that torques no longer hold.
 
-    State and inputs may change, and events be written, as at a switch. Of one lash its guard tells, and so it is for
-    several of rigid flanks unless the load `jumps`, or its rate of change.
+    Torques, or their rates of change, may have jumped. State and inputs may change, and events be written, as at a
+    switch. Without frictions, a regime is rechecked only where the load `jumps`, or its rate of change, and several
+    lashes have rigid flanks: elsewhere the guards suffice.
     """
     if not (at.system.friction_count or (jumps and at.system.impulsive and at.system.lash_count > 1)):
         return entry
@@ -191,6 +198,6 @@ def recheck(at: Moment, log: Log, entry: Entry, jumps: bool) -> Entry:
     if entry.zero_guard < 0:
         return settled
     before = at.system.guards[entry.regime, entry.zero_guard]
-    # its number is another one there: an open lash has more guards than a closed one
+    # the guard may have another number in the regime entered: an open lash has more guards than a closed one
     zero = guard_of(at.system, settled.regime, before.functional, before.sign)
     return Entry(settled.written, settled.regime, zero, entry.zero_order)
