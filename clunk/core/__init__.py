@@ -10,9 +10,9 @@ In reading order: `tables` (elements, and regimes as combinations of their state
 `runs` (what a run begins with and leaves behind, and `status`: how it ended), `switching` (preload, and what happens at
 an event), `rigid` (impacts and releases of rigid flanks), `rubbing` (which flanks stay locked and which frictions stick
 then), then one of two methods, and `sequence` (which impacts are primary, and the label), `tile` (many runs, and their
-Q and V), `jit` (how the core is compiled, once for all drivelines), `partial` (all use of numba's internals, without
-which compiling takes longer), `references` (systems and workspaces passed to compiled functions by reference), `arrays`
-(types of arrays) and `sums`. Kernels allocate nothing: their callers provide all arrays. Outside the core,
+Q and V), `jit` (how the core is compiled, once for all drivelines), `partial` (the use of numba's private parts,
+without which compiling takes longer), `references` (systems and workspaces passed to compiled functions by reference),
+`arrays` (types of arrays) and `sums`. Kernels allocate nothing: their callers provide all arrays. Outside the core,
 `simulation.driveline` prepares the system and its tables of modes, and `simulation.batches` the tables of RK4.
 
 Both methods share the system, its guards, the preload, what happens at an event (`switching`, `rigid`, `rubbing`), the

@@ -2,7 +2,7 @@
 
 numba's own cache notices a change only in the file that defines a function, not in the helpers it calls, and would run
 stale machine code after such an edit. So the directory is named by a digest of every source file of the core. A
-compiled function elsewhere may use nothing of yet another file.
+compiled function outside the core may therefore call functions of the core and of its own file only.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-_KEPT_DAYS = 30  # for which kernels are kept that nothing uses
+_KEPT_DAYS = 30  # for which the kernels of another version are kept after their last use
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -71,19 +71,21 @@ def _uncached(**options: Any) -> Callable[[Function], Function]:
 
 
 def compiled(function: Function) -> Function:
-    """A function that Python calls, kept between processes."""
+    """Compile a kernel: a function that Python calls, whose machine code is kept between processes."""
     if partial is None:
         return _uncached(cache=True)(function)
-    # Without reference counts, each change of which is an atomic operation: nothing that is compiled allocates.
+    # Without reference counts, each change of which is an atomic operation: compiled functions allocate nothing.
     return cast(Function, partial.kernel(_uncached(_nrt=False)(function)))
 
 
 def part(function: Function, forceinline: bool = False) -> Function:
-    """A function that only compiled functions call; an option not given would be that of the function that calls it.
+    """Compile a part: a function that only compiled functions call.
 
-    It is optimised and made machine code with its callers, and once only: numba would do so with each function and all
-    that it calls, for functions of functions again and again (exact takes 70 s of processor time so, and 26 s with
-    parts). Which parts are inlined is LLVM's choice.
+    A part is optimised and made machine code together with the kernel that calls it, and only then. numba would do so
+    with each function and all that it calls, and again for each function that calls that one (the exact method takes
+    70 s of processor time to compile in this way, and 26 s with parts). Which parts are inlined is LLVM's choice.
+
+    All options are set here: one left out would be taken from the function that calls the part.
     """
     if partial is None:
         return _uncached(forceinline=forceinline)(function)
@@ -92,15 +94,16 @@ def part(function: Function, forceinline: bool = False) -> Function:
 
 
 def inlined_part(function: Function) -> Function:
-    """A part that is always in the machine code of its callers.
+    """Compile a part that is always inlined into its callers.
 
-    Without, rk4 takes a third longer, and exact an eighth, which is compiled in an eighth less time.
+    Were these plain parts, runs would take a third longer by rk4, and an eighth longer by exact, whose compilation
+    would take an eighth less.
     """
     return part(function, forceinline=True)
 
 
 try:
     partial: Any = importlib.import_module("clunk.core.partial")
-except (ImportError, AttributeError):  # numba's inner parts are not as expected: slower to compile, the same bits
+except (ImportError, AttributeError):  # numba's private parts are not as expected: slower to compile, the same bits
     partial = None
 _configure()  # before the first function is decorated

@@ -1,9 +1,10 @@
-"""How numba compiles kernels and their parts: all that reaches into numba's inner parts.
+"""Compilation of kernels together with their parts, by changes to private parts of numba.
 
-numba optimises each function with all that it calls, and makes machine code of that: what is called by a function that
-is called by another one is worked on three times. Here that is left to the outermost one, the kernel.
+numba optimises each function together with all that it calls, and makes machine code of both: a function that is called
+by one that another function calls is compiled three times. Here only the outermost function, the kernel, is optimised
+and made machine code, with its parts.
 
-Importing this raises ImportError where those inner parts are not as expected; `jit` does without it then.
+Importing this module raises ImportError where numba's private parts are not as expected; `jit` then does without it.
 """
 
 import contextlib
@@ -33,13 +34,13 @@ for _owner, _names in (
 
 
 class _Cache(FunctionCache):
-    """numba's cache of one function; where it is damaged or cannot be written, that costs a compilation and no more."""
+    """numba's cache of one function; a cache that is damaged or cannot be written costs a compilation and no more."""
 
     def load_overload(self, sig, target_context):
         try:
             # without preparing for compiling, as `load_overload` does: that takes half a second
             return self._load_overload(sig, target_context)
-        except Exception:  # whatever it is that reading half a file, or something else in its place, raises
+        except Exception:  # reading half a file, or something else in its place, may raise anything
             with contextlib.suppress(OSError):
                 self.flush()
             return None
@@ -50,19 +51,19 @@ class _Cache(FunctionCache):
 
 
 def kernel(dispatcher):
-    """Make a function of `numba.njit` one that is kept between processes, as cache=True does."""
+    """Keep the machine code of a function of `numba.njit` between processes, as cache=True does."""
     dispatcher._cache = _Cache(dispatcher.py_func)
     return dispatcher
 
 
 class _Pass(AnalysisPass):
-    def __init__(self) -> None:  # abstract in what it extends
+    def __init__(self) -> None:  # abstract in AnalysisPass
         super().__init__()
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
 class _BeginPart(_Pass):
-    """Before a part is lowered: into a library of its own kind, and not prepared for execution."""
+    """Pass before a part is lowered: its code goes to a `_PartLibrary`, and is not prepared for execution."""
 
     _name = "clunk_begin_part"
 
@@ -75,7 +76,7 @@ class _BeginPart(_Pass):
 
 @register_pass(mutates_CFG=False, analysis_only=True)
 class _EndPart(_Pass):
-    """After it: name it to its callers, which numba does together with the preparation for execution."""
+    """Pass after a part is lowered: make it known to its callers, which numba does as it prepares for execution."""
 
     _name = "clunk_end_part"
 
@@ -88,7 +89,7 @@ class _EndPart(_Pass):
 
 
 class _PartLibrary(JITCodeLibrary):
-    """The code of a part: neither optimised nor made machine code before it is in that of a whole."""
+    """The code of a part, which is optimised and made machine code only within the code of a kernel."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -106,7 +107,7 @@ class _Part(CPUDispatcher):
         return super().compile(tuple(map(types.unliteral, signature)))
 
     def __call__(self, *arguments):
-        """Call the function as Python has it: there is no other code for Python to call."""
+        """Call the uncompiled function: a part has no machine code that Python could call."""
         return self.py_func(*arguments)
 
 
@@ -114,7 +115,7 @@ class PartCompiler(CompilerBase):
     """numba's compiler, for functions that only compiled functions call."""
 
     def define_pipelines(self):
-        """Numba's own passes, and ours before and after that to machine code."""
+        """Numba's own passes, with `_BeginPart` and `_EndPart` before and after the one that lowers to LLVM's code."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.add_pass_after(_BeginPart, AnnotateTypes)
         passes.add_pass_after(_EndPart, NativeLowering)
@@ -123,6 +124,6 @@ class PartCompiler(CompilerBase):
 
 
 def with_callers(dispatcher):
-    """Make a function of `numba.njit` with `PartCompiler` one that is compiled with its callers alone."""
+    """Make a function of `numba.njit` with `PartCompiler` a part, which is compiled only with its callers."""
     dispatcher.__class__ = _Part
     return dispatcher

@@ -1,8 +1,9 @@
 """Named tuples by reference, in compiled functions.
 
 numba passes a named tuple by value: each number and each field of each array in it is an argument, some 600 for a
-workspace, in every call. A reference is one, and has the tuple's attributes; a named tuple within it is a reference
-too. Nothing else differs, but the exact method has a sixth of the code to compile (23 instead of 142 MB of LLVM's).
+workspace, in every call. A reference to the tuple is a single argument, and has the tuple's attributes; an attribute
+that is a named tuple is a reference too. Results are the same, and the exact method has a sixth of the code to compile
+(23 instead of 142 MB of LLVM code).
 """
 
 from collections.abc import Callable
@@ -61,7 +62,7 @@ def _attribute(context, builder: ir.IRBuilder, reference: Reference, pointer, na
 
 
 def _load(builder: ir.IRBuilder, at):
-    """Load a value part by part, each marked as one that never changes: stores elsewhere leave it in its register."""
+    """Load a value part by part, each marked as never changing, so that it stays in its register across stores."""
     pointee = at.type.pointee
     if isinstance(pointee, (ir.LiteralStructType, ir.ArrayType)):
         value = ir.Constant(pointee, ir.Undefined)
@@ -75,7 +76,7 @@ def _load(builder: ir.IRBuilder, at):
 
 def _refer(context, builder: ir.IRBuilder, signature, arguments):
     at = builder.bitcast(cgutils.alloca_once_value(builder, arguments[0]), cgutils.voidptr_t)
-    # Nothing is known of the pointer that this returns, so that no load is moved to before the values are there.
+    # LLVM knows nothing of the pointer that this empty code returns, so it moves no load ahead of the values' stores.
     opaque = ir.FunctionType(cgutils.voidptr_t, [cgutils.voidptr_t])
     return builder.asm(opaque, "", "=r,0,~{memory}", [at], side_effect=True)
 
@@ -98,15 +99,18 @@ def _reference_at(_, rows, k, like):
 
 
 def rows_of(values, each) -> IntArray:
-    """A named tuple of numbers and arrays in the words by which compiled functions know it, D times.
+    """D named tuples of numbers and arrays, one a row, as machine words in the layout of compiled functions.
 
-    Row k has `each.NAME[k]` in the place of arrays of which `each`, a tuple of the same type, has an axis of D more;
-    `values` are those of row 0. Rows hold bare pointers: the arrays are to outlive them.
+    The tuples differ in the arrays to which `each`, a tuple of the same type, gives one more axis, of D, in front: row
+    k has `each.NAME[k]`. All else is as in `values`, the tuple of row 0. Rows hold bare pointers, so that the arrays
+    have to outlive them.
+
+    Returns (D, words) int64.
     """
     words: list[int] = []
-    places, strides = [], []  # of pointers that differ from row to row, and by how much
+    places, strides = [], []  # places of the pointers that differ from row to row, and the differences in bytes
     for field, array in zip(values, each, strict=True):
-        if isinstance(field, np.ndarray):  # as numba has it, of no owner
+        if isinstance(field, np.ndarray):  # as numba lays out an array; the first two words, its owner, are null
             if array.ndim > field.ndim:
                 places.append(len(words) + 4)
                 strides.append(array.strides[0])
@@ -118,7 +122,7 @@ def rows_of(values, each) -> IntArray:
     return rows
 
 
-# A reference to a named tuple, good in the compiled function that was passed the tuple.
+# A reference to a named tuple, valid in the compiled function to which the tuple was passed.
 refer = cast(Callable[[Tuple], Tuple], _reference)
 # A reference to the tuple in row k of `rows_of`, of the same type as another reference.
 reference_at = cast(Callable[[IntArray, int, Tuple], Tuple], _reference_at)

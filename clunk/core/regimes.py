@@ -43,16 +43,17 @@ from clunk.core.tables import (
     half_gap_of,
 )
 
-LOCKING_SHARE = 1e-4  # of the run's fastest touch: chatter has then lost all but 1e-8 of its energy
+LOCKING_SHARE = 1e-4  # default locking speed, as a share of the fastest touch: chatter has then 1e-8 of its energy left
 ROUNDING = 8 * np.finfo(np.float64).eps  # relative to the terms of a sum of a few products
-_SINGULAR = 1e-12  # of the largest eigenvalue: a smaller one is rounding
+_SINGULAR = 1e-12  # share of a twist's mobility without constraints: with them, a smaller mobility is rounding
 
 
 class System(NamedTuple):
     """One driveline with its lashes and contacts, ready to run.
 
     n inertias, N states (2n, or 2n + 2 with a wave), I inputs, F functionals, K flows, L lashes, R regimes in U groups,
-    with at most G guards each; E elements, M of them frictions, S combinations of stages, H sets of closed lashes.
+    with at most G guards each, those that only make a margin included; E elements, M of them frictions, S combinations
+    of stages, H sets of closed lashes.
     """
 
     # the flows
@@ -60,8 +61,9 @@ class System(NamedTuple):
     inputs: FloatArray  # (K, N, I)  B of each flow
     functionals: FloatArray  # (K, F, N)  C of each flow
     feedthrough: FloatArray  # (K, F, I)  D of each flow
-    # (K, F, 3, 2, N + I)  of each functional and its first two derivatives by time, what multiplies x and u, and what
-    # their magnitudes; no functional without frictions and rigid flanks
+    # (K, F, 3, 2, N + I)  for each functional and its first two time derivatives: coefficients of x and u, and
+    # coefficients of |x| and |u|, which give the sum of the terms' magnitudes; (K, 0, …) without frictions and rigid
+    # flanks
     outputs: FloatArray
     functionals_per_lash: int
     lashes: FloatArray  # (L, N)  q' = lashes · x
@@ -70,7 +72,7 @@ class System(NamedTuple):
     friction_count: int  # M
     input_count: int  # I
     element_count: int  # E
-    ramps: int  # whether the torque's rate of change is an input: exact, loads with ramps; rk4 has them in the wave
+    ramps: int  # whether the torque's rate of change is an input: exact, loads with ramps; rk4 has ramps in the wave
     # the regimes
     regimes: Records  # (R,) REGIME
     contacts: Records  # (R, L) CONTACT
@@ -82,30 +84,31 @@ class System(NamedTuple):
     regime_strides: IntArray
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
-    # by which closed lashes an impact holds, as bits; only the first set, none, of one lash
-    impulse: FloatArray  # (H, L, N)  change of x per unit of a lash's q'
-    passed: FloatArray  # (H, L, L)  what passes through each lash for it  [kg m2]
+    # in row h of the next two, an impact leaves those lashes closed whose bits are set in h; H is 1 with one lash, and
+    # without rigid flanks
+    impulse: FloatArray  # (H, L, N)  change of x by an impulse across a lash, per unit of change of its q'
+    passed: FloatArray  # (H, L, L)  impulse that then passes through each lash, per unit of change of q'  [kg m2]
     restitution: FloatArray  # (L,)  e
-    locking_speed: FloatArray  # (L,)  rad/s; a negative one is relative to the fastest touch of the run so far
+    locking_speed: FloatArray  # (L,)  rad/s; a negative one is minus a share of the lash's fastest touch so far
     # frictions
     frictions: FloatArray  # (M, N)  rate of twist = frictions · x
-    friction_states: IntArray  # (R, M)  of each in each regime
-    friction_torques: FloatArray  # (M,)  the most that each holds  [N m]
-    excess: IntArray  # (K,)  whether a friction sticks in a flow that the others hold without it
+    friction_states: IntArray  # (R, M)  state of each friction in each regime
+    friction_torques: FloatArray  # (M,)  largest torque that each friction holds  [N m]
+    excess: IntArray  # (K,)  whether a friction sticks in a flow whose other constraints already hold its twist
     # before the load step
-    steady_motion: FloatArray  # (S, N, I)  in contact at the load step, in each combination of stages, by u
-    contact_torque: FloatArray  # (S, L, I)  the torque across each lash in it, signed like q
-    # (2n, 0 to 2)  what no torque depends on: the angle by which the driveline rolls, if it does so, and, without drag,
-    # its speed; the first inertia that rolls has a share of 1 in it
+    steady_motion: FloatArray  # (S, N, I)  x in steady motion in contact, in each combination of stages, by u
+    contact_torque: FloatArray  # (S, L, I)  torque across each lash in that motion, signed like q, by u
+    # (2n, 0 to 2)  directions of (θ, θ') on which no torque depends: the driveline rolls by an angle, if it can roll,
+    # and, without drag, at a speed; 1 at the first inertia that rolls
     drift: FloatArray
-    first_rolling: int  # that inertia, or -1
+    first_rolling: int  # the first inertia that rolls, or -1
     # scalars
     end_time: FloatArray  # (1,)  s after the load step
     sticking_time: FloatArray  # (L,)  s; 0 of rigid flanks, which have no contact period
     status: int  # why this system cannot be run, or OK
 
 
-# The fields in which drivelines of one structure differ: of D drivelines, a batch, they have an axis of D in front.
+# The fields in which drivelines of one structure differ: in a batch of D drivelines they have an axis of D in front.
 VARYING = (
     "rates",
     "inputs",
@@ -130,7 +133,7 @@ VARYING = (
 
 
 def driveline_at(systems: System, index: Positions | list[int] | int | None) -> System:
-    """One driveline of a batch, or some of them; by None, a batch of one driveline."""
+    """One driveline of a batch, or the batch of some of them; with None, the batch of one driveline alone."""
     return systems._replace(**{name: getattr(systems, name)[index] for name in VARYING})
 
 
@@ -146,16 +149,16 @@ def roll(system: System, angle: float, x: FloatArray) -> None:
 
 @part
 def turn_back(system: System, x: FloatArray) -> float:
-    """Turn a state back by the angle of the first inertia that rolls, and return it  [rad]."""
+    """Turn a state back by the angle of the first inertia that rolls, and return that angle  [rad]."""
     angle = x[system.first_rolling] if system.first_rolling >= 0 else 0.0
     roll(system, -angle, x)
     return angle
 
 
 def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
-    """Matrix that takes the rolling from angles and speeds, and keeps it at the first inertia that rolls; its inverse.
+    """Matrix that subtracts the rolling from all angles and speeds but those of the first inertia that rolls; inverse.
 
-    size : of the states, N
+    size : number of states, N
 
     Returns (…, N, N) and (…, N, N) float64.
     """
@@ -173,21 +176,21 @@ def stride_of_friction(system: System, friction: int) -> int:
 
 @inlined_part
 def input_of_friction(system: System, friction: int) -> int:
-    """The input that is 1 for a friction; the one behind it is the twist at which it sticks."""
+    """The input that is 1 for a friction; the next input is the twist at which the friction sticks."""
     return system.input_count - OF_FRICTION * (system.friction_count - friction)
 
 
 @inlined_part
 def rate_of_friction(system: System, friction: int) -> int:
-    """The functional that is the rate of twist of a friction; the one behind it is the torque that holds it."""
+    """The functional that is the rate of twist of a friction; the next functional is the torque that holds it."""
     return system.functionals.shape[1] - OF_FRICTION * (system.friction_count - friction)
 
 
 @inlined_part
 def lash_of(system: System, regime: int, guard: int) -> int:
-    """The lash that a guard is of, or -1.
+    """The lash that a guard belongs to, or -1.
 
-    Where it is read without this function, the exact method takes a quarter longer.
+    Without this function, with the field read in place, the exact method takes a quarter longer.
     """
     return system.guards[regime, guard].lash
 
@@ -209,7 +212,7 @@ def overlap_of(system: System, lash: int, side: int, x: FloatArray, inputs: Floa
 
 @part
 def guard_of(system: System, regime: int, functional: int, sign: float) -> int:
-    """The guard of a regime that is a functional of this sign and an offset, or -1."""
+    """The guard of a regime with a given functional and sign, or -1."""
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
         if guard.functional == functional and guard.sign == sign:
@@ -219,17 +222,17 @@ def guard_of(system: System, regime: int, functional: int, sign: float) -> int:
 
 @inlined_part
 def opened(system: System, regime: int, lash: int) -> int:
-    """The regime that differs in that a lash is open."""
+    """The regime that differs from a given one only in that a lash is open."""
     stride = system.regime_strides[lash]
     return regime - regime % system.regime_strides[lash + 1] // stride * stride
 
 
 class RigidMotion(NamedTuple):
-    """Motion of a driveline that twists no spring and no closed lash, if there is one, and what keeps it up."""
+    """Rigid-body motion of a driveline, which twists no spring and no closed lash, and its response to the load."""
 
-    shape: FloatArray  # (…, n, k)  speeds, relative to each other, of each of the k motions; more than one are refused
+    shape: FloatArray  # (…, n, k)  relative speeds of the inertias in each of k motions; more than one are refused
     speeds: FloatArray  # (…, n)  constant speeds under a load of 1 N m, where dampers resist  [rad/s]
-    accelerations: FloatArray  # (…, n)  where none does  [rad/s2]
+    accelerations: FloatArray  # (…, n)  accelerations under that load, where no damper resists  [rad/s2]
     is_dragged: bool  # whether dampers resist
 
 
@@ -250,33 +253,33 @@ def build_system(
 ) -> System:
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
-    Or those of a batch of drivelines alike but for numbers: inertias, dampings, stiffnesses, speeds and the numbers of
-    lashes, shafts and frictions then have an axis more in front; twists and the shapes of rigid motions may
-    have it. Raises UnlikeError where the drivelines differ in more than numbers.
+    For a batch of drivelines that differ in numbers only, inertias, dampings, stiffnesses, speeds and the numbers of
+    lashes, shafts and frictions have one more axis in front; twists and the shapes of rigid motions may have it. Raises
+    UnlikeError where the drivelines differ in more than numbers.
 
     Parameters
     ----------
     inertia : (n,) float64  [kg m2]
     chains : of (n, n), (n, n) float64  [N m s/rad], [N m/rad]
-        Damping and stiffness in each flow, in the order of their numbers, without its constraints.
+        Damping and stiffness in each flow, in the order of the flows' numbers, without the flow's constraints.
     load : (n,) float64
         1 at the loaded inertia.
     lashes : Lashes
     end_time : (1,) float64  [s]
     rigid : RigidMotion
-        Of the driveline with its lashes closed.
+        Of the driveline with all lashes closed.
     wave_rates : (2, 2) float64, optional  [1/s]
         S of the load's wave, for loads that have one.
     ramps : bool
         Whether the torque's rate of change is an input, and can be other than zero.
     staged : of StagedShaft
-        Their stiffness in a flow's stages is part of its chain's.
+        Their stiffness in the stages of a flow is part of the flow's stiffness in `chains`.
     loose : of bool
-        Whether a part of the driveline is free to turn in each combination of stages, with all lashes closed, that is
-        not so in others.
+        For each combination of stages, with all lashes closed: whether a part of the driveline is free to turn that
+        the stiffness of other stages holds.
     frictions : of Friction
     rubs : bool
-        Whether one of them would slip in steady motion.
+        Whether a friction would slip in steady motion.
     """
     (*batch, n), twists, stride = inertia.shape, lashes.twists, functionals_of(lashes)
     speeds, mechanical = slice(n, 2 * n), 2 * n
@@ -289,7 +292,7 @@ def build_system(
     tied = np.concatenate([twists, *(friction.twist[..., None, :] for friction in frictions)], axis=-2)
 
     def by_speeds(array: FloatArray) -> FloatArray:
-        """Rows that multiply θ, (…, n), as rows of θ' among all states."""
+        """Rows (…, n) that multiply θ, placed at θ' among all states."""
         rows = np.zeros((*array.shape[:-1], states))
         rows[..., speeds] = array
         return rows
@@ -303,7 +306,7 @@ def build_system(
 
     @cache
     def yielding_of(tie: int, closed: tuple[int, ...]) -> FloatArray:
-        """(…, 1) the acceleration of a tie by a torque of 1 N m across it, with other constraints."""
+        """(…, 1) acceleration of a twist by a torque of 1 N m across it, under other constraints  [rad/s2]."""
         pushed = by_speeds(tied[..., tie, :] / inertia)[..., None]
         return _across(tied[..., tie, :], locked(pushed, inertia, ties_of(closed))[..., speeds, :])
 
@@ -330,7 +333,7 @@ def build_system(
     feedthrough = np.zeros((*functionals.shape[:-1], driven))
 
     def set_holding(flow: int, tie: int, functional: int) -> bool:
-        """Make a functional the torque that ties two parts in a flow; false if the other constraints do so already."""
+        """Make a functional the torque that holds a twist in a flow; false where other constraints hold it already."""
         tie_stride = 1 << tie if tie < count else stuck_stride << tie - count
         others, twist = flow - held[flow][tie] * tie_stride, tied[..., tie, :]
         yielding = yielding_of(tie, held[others])
@@ -345,7 +348,7 @@ def build_system(
         of_lash[..., GAP, :n] = twists[..., k, None, :]
         of_lash[..., ACCELERATION, :] = rates[..., n + inertia_watched, :]
         fed[..., ACCELERATION, :] = inputs[..., n + inertia_watched, :]
-        for flow in flows if impulsive else ():  # the torque that locks it, also where nothing does
+        for flow in flows if impulsive else ():  # the torque that locks it, or, where it is open, that would lock it
             set_holding(flow, k, k * stride + FORCE)
         if lashes.separation_by_force[k] and not impulsive:
             of_lash[..., FORCE, :n] = pressing[..., k, None, :]
@@ -373,8 +376,8 @@ def build_system(
     tables = build_tables(lashes, staged, frictions, batch)
     for k, friction in enumerate(frictions):
         rate = first_rate + OF_FRICTION * k + RATE
-        rows[..., rate, speeds] = friction.twist[..., None, :]  # also where others hold it
-        # a rate that stays zero ends nothing
+        rows[..., rate, speeds] = friction.twist[..., None, :]  # also where other constraints hold the twist
+        # there the rate stays zero: an offset of 1 keeps its guard from ending the regime
         is_held = ~alike(functionals[..., tables["regimes"]["flow"], rate, :].any(axis=-1))[:, None]
         tables["offsets"][..., is_held & (tables["guards"]["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
     outputs = np.stack([_derivatives(rows, motion), _derivatives(abs(rows), abs(motion))], axis=-2)
@@ -396,7 +399,7 @@ def build_system(
         steady[..., k, :n, :], steady[..., k, speeds, TORQUE] = angles, rigid.speeds
     status = OK if motions <= 1 and not rubs else NO_EQUILIBRIUM
     rolling = np.broadcast_to(rigid.shape, (*batch, n, motions))[..., : int(status == OK)]
-    # by the angles, and where nothing drags by the speeds, too
+    # a column for the angles, and where nothing drags one for the speeds, too
     drift = np.asarray(np.kron(np.eye(2, 1 if rigid.is_dragged else 2), rolling), np.float64)
     joints = by_speeds(np.broadcast_to(tied, (*batch, *tied.shape[-2:])))
 
@@ -434,9 +437,10 @@ def build_system(
 
 
 def _impacts(inertia: FloatArray, twists: FloatArray, sets: int) -> tuple[FloatArray, FloatArray]:
-    """Change of speeds by an impact across each lash per unit of q', and the impulses in every lash, `System.passed`.
+    """Changes of speeds by impulses across each lash, and the impulses through all lashes, per unit of change of q'.
 
-    Returns (…, H, L, n) and (…, H, L, L) float64, zero where the lash itself is in the set that holds.
+    Returns (…, H, L, n) float64, the speeds of `System.impulse`, and (…, H, L, L) float64, `System.passed`; both are
+    zero where the lash itself is in the set that stays closed.
     """
     *batch, n = inertia.shape
     count = twists.shape[-2]

@@ -17,16 +17,18 @@ s φ/2, a constraint whose torque is the guard, and a touch *resets* the velocit
 the open state, or, below the locking speed and under a compressive torque, locks.
 
 A staged shaft's torque is continuous and piecewise linear in its twist. In stage i the twist lies between breakpoints
-i - 1 and i, which are two guards more; where one turns negative, the neighbouring stage follows, and nothing else
-changes. Each goes BEYOND its breakpoints: a twist that comes to rest at one, or that friction holds there, is in both
-of its stages, and rounding takes it from neither; and none can change again before its twist has gone back twice that
-way.
+i - 1 and i, each of which makes a guard; where a guard turns negative, the neighbouring stage follows, and nothing else
+changes. Each stage extends by BEYOND past its breakpoints. A twist that comes to rest at a breakpoint, or that friction
+holds there, is therefore within both stages, and rounding makes it leave neither; and after a change of stage, the
+twist has to go back by twice BEYOND before the stage can change again.
 
-A friction across a shaft (Coulomb's, static and kinetic alike) sticks, its twist held as a true constraint whose torque
-is at most F either way, or slips with a torque of F against the rate of twist; `clunk.core.rubbing` says which follows.
+A friction across a shaft (Coulomb's, static and kinetic alike) either sticks, its twist held as a true constraint whose
+torque is at most F either way, or slips with a torque of F against the rate of twist; `clunk.core.rubbing` chooses
+which state follows.
 
-A regime is one state of each element: its guards are all of theirs, and one that turns negative changes the state of
-its own element. Regimes are numbered by the first lash's state first, then by the stages, and by the frictions last.
+A regime is one state of each element. Its guards are those of all these states, and a guard that turns negative changes
+the state of its own element. The number of a regime changes fastest with the first lash's state, then with the other
+lashes' and the stages, and slowest with the frictions' states.
 """
 
 import itertools
@@ -43,58 +45,61 @@ Number = float | FloatArray  # of a driveline, or of each in a batch, (D,)
 
 OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range(5)
 TORQUE, HALF_GAP, TORQUE_RATE = range(3)
-# Of one lash; behind them the half gaps of the other lashes, a 1 for each staged shaft, and for each friction a 1 and
-# the twist at which it sticks.
+# The inputs of a driveline with one lash; behind them come the half gaps of the other lashes, a 1 for each staged
+# shaft, and for each friction a 1 and the twist at which it sticks.
 INPUTS = 3
-OF_FRICTION = 2  # inputs, and functionals too
+OF_FRICTION = 2  # inputs of each friction, and also its functionals
 # The functionals of a lash: q, θ'' of one inertia, and the contact torque, signed like q: k q + c q', or the torque
-# that locks q, which is left out where no guard needs it, a functional less to step. Behind those of the last lash come
-# the twists of the staged shafts, and of each friction the rate of twist and the torque that holds it where it sticks.
+# that locks q. The torque is left out where no guard needs it, which makes steps cheaper. Behind the functionals of the
+# last lash come the twists of the staged shafts, and for each friction the rate of twist and the torque that holds it
+# where it sticks.
 GAP, ACCELERATION, FORCE = range(3)
 RATE, HOLDING = range(2)
 STICKS, SLIPS_FORWARD, SLIPS_BACKWARD = range(3)  # states of a friction
-ABOVE = 1e-9  # of F: more than rounding, less than any measurement
-BEYOND = 1e-12  # rad, behind its breakpoint, that a stage ends: the same of a twist
+ABOVE = 1e-9  # share of F that a sticking friction holds above F: more than rounding, less than can be measured
+BEYOND = 1e-12  # rad, by which a stage extends past its breakpoints: more than rounding, less than can be measured
 
 REGIME = record_of(
     flow="i8",
-    guards="i8",  # how many end it
-    watched="i8",  # how many rows it has: those that end it, then those that make a margin only
+    guards="i8",  # how many guards end it
+    watched="i8",  # how many rows it has among the guards: those that end it, then those that make a margin only
     group="i8",  # runs in regimes with one flow and, but for the sides, the same guards step together
 )
 
 CONTACT = record_of(
     closed="i8",  # whether the flanks press on each other
-    side="i8",  # s; 0 between the flanks
+    side="i8",  # s, the flank in contact; 0 for none
 )
 
 GUARD = record_of(
     functional="i8",  # guard = sign · functional + offsets · d
     sign="f8",
-    successor="i8",  # the regime that follows where it turns negative, or -1
-    event_kind="i8",  # the event that this is, or -1
+    # the regime that follows where the guard turns negative, as far as the state of its own element decides; -1 for
+    # frictions, whose states `clunk.core.rubbing` chooses, and in rows that end nothing
+    successor="i8",
+    event_kind="i8",  # the kind of event where the guard turns negative, or -1
     lash="i8",  # the lash that the event concerns, or -1
-    side="i8",  # and its flank
+    side="i8",  # the flank of that lash that the event concerns
     zero_guard="i8",  # the successor's guard that is zero on entry, or -1
-    zero_order="i8",  # and how many of its derivatives, itself included, are
-    makes_margin="i8",  # whether its turning back or its depth does
-    first_alike="i8",  # the regime's first guard of the same functional
+    zero_order="i8",  # how many of that guard's derivatives are zero on entry, the guard itself included
+    makes_margin="i8",  # whether the guard's turns and its depth make margins
+    first_alike="i8",  # the regime's first guard with the same functional
 )
 
 
 class Lashes(NamedTuple):
-    """The L lashes of a driveline with their contacts, and what is asked of them.
+    """The L lashes of a driveline: their contacts, what counts as sticking, and the accelerations that are watched.
 
     twists : (L, n) float64, q of each = row · θ
     stiffness, damping : (L,) float64, of each contact  [N m/rad], [N m s/rad]
-    are_rigid : bool, contacts are of the restitution model, and else the springs and dampers of indentation
+    are_rigid : bool, whether contacts are of the restitution model; else they are springs and dampers (indentation)
     separation_by_force : (L,) of bool
     restitution : (L,) float64, e of the restitution model
     locking_speed : (L,) float64, a rebound not faster than this locks, see `regimes.System`  [rad/s]
     sticking_time : (L,) float64, a longer contact is sticking  [s]
     acceleration_of : (L,) of int, index from 0 of the inertia whose acceleration is watched
 
-    In a batch of drivelines float64 have an axis more in front; twists may have it.
+    In a batch of drivelines float64 arrays have one more axis in front; twists may have it.
     """
 
     twists: FloatArray
@@ -115,7 +120,7 @@ class StagedShaft(NamedTuple):
     stiffness : (m + 1,) float64, the slope in each stage  [N m/rad]
     breakpoints : (m,) float64, the twists between stages, increasing  [rad]
 
-    In a batch of drivelines they have an axis more in front.
+    In a batch of drivelines the arrays have one more axis in front.
     """
 
     twist: FloatArray
@@ -143,27 +148,27 @@ class Friction(NamedTuple):
 
     @property
     def most(self) -> Number:
-        """The torque that it holds where it sticks: above F by so little that a load equal to F does not part it."""
+        """Largest torque that it holds where it sticks, F (1 + ABOVE), so that a load of F starts no slip  [N m]."""
         return self.torque * (1.0 + ABOVE)
 
 
 class _Guard(NamedTuple):
-    """A guard, sign · functional + offset · input, both of the element, and what follows where it turns negative."""
+    """A guard, sign · functional + offset · input of an element, and what follows where the guard turns negative."""
 
     functional: int
     sign: float
     offset: Number
     successor: int = -1  # state of the element
     event_kind: int = -1
-    zero_guard: int = -1  # of the element in that state
+    zero_guard: int = -1  # among the guards of the successor
     zero_order: int = 0
     makes_margin: bool = False
 
 
 class _State(NamedTuple):
-    """A state of an element, its guards, and those functionals that end nothing, but whose turning makes a margin."""
+    """A state of an element: its guards, and functionals that end nothing, but whose turns make margins."""
 
-    flow: int  # of the element's
+    flow: int  # number among the flows that the element distinguishes
     weight: Number  # of the element's input in u; of a lash the side
     guards: list[_Guard]
     watched: tuple[_Guard, ...] = ()
@@ -173,26 +178,26 @@ class _Element(NamedTuple):
     """A lash, a staged shaft or a friction: in each of its states the torques are linear."""
 
     states: list[_State]
-    functional: int  # the first of its
-    input: int  # its half gap, or a 1
+    functional: int  # its first functional
+    input: int  # the input that is its half gap, or 1
 
 
 def _lash_states(lashes: Lashes, k: int) -> list[_State]:
     by_force, stiffness = lashes.separation_by_force[k], lashes.stiffness[..., k]
-    # At a touch the overlap is zero, but the contact force is c q' > 0, if there is damping; of rigid flanks it is
-    # decided what follows. These leave with value, slope and curvature of the gap zero.
+    # At a touch the overlap is zero, but the contact force is c q' > 0, if there is damping. After a touch of rigid
+    # flanks, `rigid.strike` finds the next regime. Rigid flanks part with value, slope and curvature of the gap zero.
     order = 0 if lashes.are_rigid or (by_force and np.all(lashes.damping[..., k] > 0.0)) else 1
     touches = [
         _Guard(GAP, -side, 1.0, closed, TOUCH, 0 if order else -1, order, makes_margin=True)
         for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE))
     ]
     states, parted_states = [_State(0, 0, touches)], []
-    for reached, side in enumerate((1, -1)):  # the open state's guard of that flank
+    for reached, side in enumerate((1, -1)):  # `reached` is the open state's guard for that flank
         overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, reached, 1, makes_margin=True)
         if lashes.are_rigid:
             states.append(_State(1, side, [overlap._replace(functional=FORCE, offset=0.0, zero_order=3)]))
         elif by_force:
-            # the flanks may press less than nothing on each other; a miss is near where they all but cease to overlap
+            # the contact force may turn tensile while the flanks overlap: the overlap, not the force, makes the margin
             closed, parted = CLOSED_POSITIVE + reached, PARTED_POSITIVE + reached
             force = _Guard(FORCE, side, -stiffness, parted, SEPARATION, 1, 1)
             states.append(_State(1, side, [force], (_Guard(GAP, side, -1.0, makes_margin=True),)))
@@ -204,7 +209,7 @@ def _lash_states(lashes: Lashes, k: int) -> list[_State]:
 
 
 def _stages(shaft: StagedShaft) -> list[_State]:
-    """The stages: the twist is below the breakpoint above, and above the one below, or BEYOND by no more."""
+    """The stages of a shaft as states: the twist lies between two breakpoints, or at most BEYOND past one of them."""
     states = []
     for stage, torque in enumerate(np.moveaxis(shaft.torques, -1, 0)):
         guards = []
@@ -217,7 +222,7 @@ def _stages(shaft: StagedShaft) -> list[_State]:
 
 
 def _slips(friction: Friction) -> list[_State]:
-    """A friction that sticks, or slips either way; what follows is not known beforehand."""
+    """The states of a friction, which sticks, or slips either way; `clunk.core.rubbing` chooses which one follows."""
     torque = friction.torque
     sticks = _State(1, 0.0, [_Guard(HOLDING, -way, friction.most, event_kind=STAGE) for way in (1, -1)])
     return [sticks, *(_State(0, way * torque, [_Guard(RATE, way, 0.0, event_kind=STAGE)]) for way in (1, -1))]
@@ -234,12 +239,12 @@ def functionals_of(lashes: Lashes) -> int:
 
 
 def combinations(counts: Sequence[int]) -> list[tuple[int, ...]]:
-    """All combinations of one number each below these counts, in the order of regimes: the first one changes first."""
+    """All combinations of numbers, each below its count, in the order of regimes: the first number changes fastest."""
     return [chosen[::-1] for chosen in itertools.product(*(range(count) for count in reversed(counts)))]
 
 
 class FlowOf(NamedTuple):
-    """A flow by what is active in it: whether lashes are closed, the stages of shafts, and whether frictions stick."""
+    """What makes a flow: whether each lash is closed, the stage of each staged shaft, whether each friction sticks."""
 
     closed: tuple[int, ...]
     stages: tuple[int, ...]
@@ -267,7 +272,7 @@ def build_tables(
     counts = [len(element.states) for element in elements]
     chosen, strides = np.array(combinations(counts)), _strides(counts)
     flow_strides = _strides([1 + max(state.flow for state in element.states) for element in elements])
-    # of each regime's rows those that end it, element by element, and then those that make a margin only
+    # how many guards each element has in each regime: first those that end it, and then those that make a margin only
     lengths = [
         np.array([len(getattr(state, rows)) for state in element.states])[chosen[:, e]]
         for rows in ("guards", "watched")
@@ -278,7 +283,7 @@ def build_tables(
     regimes, contacts = np.zeros(len(chosen), REGIME), np.zeros((len(chosen), count), CONTACT)
     regimes["guards"], regimes["watched"] = ends[len(elements) - 1], ends[-1]
     guards = np.zeros((len(chosen), ends[-1].max()), GUARD)
-    turned = np.zeros(guards.shape)  # their signs, but for the side
+    turned = np.zeros(guards.shape)  # the guards' signs, times the sides of their lashes
     offsets = np.zeros((*batch, *guards.shape, rubbing + OF_FRICTION * len(frictions)))
     weights = np.ones((*batch, len(chosen), offsets.shape[-1]))
     for e, element in enumerate(elements):
@@ -326,5 +331,5 @@ def build_tables(
 
 
 def _strides(counts: Sequence[int]) -> IntArray:
-    """Strides of the number of a combination with each of its numbers, and the number of combinations."""
+    """By how much a combination's place changes with each of its numbers, and at last the number of combinations."""
     return np.cumprod([1, *counts])

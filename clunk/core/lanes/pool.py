@@ -1,7 +1,7 @@
-"""Items that wait in queues, and are taken from them as many at a time as there are lanes.
+"""Queues of items, from which as many items are taken at a time as there are lanes.
 
-An item is a number: the row of an array that holds the item's own numbers. Those of the items that are taken are
-gathered, and transposed: a row of `work` then holds one number of each of them.
+An item is the index of a row in an array that holds the item's numbers. The rows of the items taken are gathered and
+transposed: each row of `work` then holds one number of every item.
 """
 
 from typing import NamedTuple
@@ -17,20 +17,20 @@ from clunk.core.lanes.vectors import ROW, WIDTH
 class Pool(NamedTuple):
     """Queues of items, and the items that have been taken; W lanes."""
 
-    waiting: IntArray  # (queues, items + 1 or more)  with room for one that is not pushed
-    length: IntArray  # (queues,)  how many wait
-    work: FloatArray  # (numbers, W)  of the items taken
-    items: IntArray  # (W,)  the items taken; the last row of their array in lanes that have none
-    places: IntArray  # (W,)  where the numbers of each begin in their array
+    waiting: IntArray  # (queues, items + 1 or more)  items of each queue; `push_all` writes to the place behind, too
+    length: IntArray  # (queues,)  how many items wait in each queue
+    work: FloatArray  # (numbers, W)  numbers of the items taken
+    items: IntArray  # (W,)  the items taken; in unused lanes the last row of the items' array
+    places: IntArray  # (W,)  where the numbers of each item begin in the items' array, taken as flat
 
 
 def whole(count: int) -> int:
-    """`count`, filled up to a multiple of what `gather` takes at a time."""
+    """`count`, rounded up to a multiple of ROW, as many numbers as `gather` takes at a time."""
     return -(-count // ROW) * ROW
 
 
 def aligned(count: int, columns: int = WIDTH) -> FloatArray:
-    """Zeros that begin where a register's worth of memory does."""
+    """Zeros, (count, columns), that begin at a multiple of 64 bytes in memory, ROW floats."""
     flat = np.zeros(count * columns + ROW)
     first = -(flat.ctypes.data >> 3) % ROW
     return flat[first : first + count * columns].reshape(count, columns)
@@ -46,7 +46,7 @@ def push(pool: Pool, queue: int, item: int) -> None:
 
 @part
 def push_all(pool: Pool, queue: int, mask: int) -> None:
-    """Append those of the items taken whose lanes are in a mask."""
+    """Append to a queue those of the items taken whose lanes are in a mask."""
     end = pool.length[queue]
     for lane in range(WIDTH):  # nothing branches on the mask, which no processor could predict
         pool.waiting[queue, end] = pool.items[lane]
@@ -56,10 +56,10 @@ def push_all(pool: Pool, queue: int, mask: int) -> None:
 
 @part
 def take(pool: Pool, queue: int, array: FloatArray) -> int:
-    """Take as many items from a queue as there are lanes, or as wait, the last ones first; return how many.
+    """Take as many items from the end of a queue as there are lanes, or as wait; gather their rows; return how many.
 
     array : (items + 1, numbers) float64
-        Whose rows are gathered, numbers being a multiple of ROW; the last one is scratch for unused lanes.
+        The items' rows, numbers being a multiple of ROW; the last row is scratch for unused lanes.
     """
     count, length, unused = min(pool.length[queue], WIDTH), array.shape[1], array.shape[0] - 1
     first = pool.length[queue] - count
@@ -74,7 +74,7 @@ def take(pool: Pool, queue: int, array: FloatArray) -> int:
 
 @part
 def put_back(pool: Pool, rows: FloatArray, array: FloatArray, count: int, mask: int) -> None:
-    """Write the first `count` rows of lanes to those of the items taken whose lanes are in a mask."""
+    """Write the first `count` rows of lanes, in whole ROWs, back to those items taken whose lanes are in a mask."""
     unused, length = array.shape
     for lane in range(WIDTH):
         pool.places[lane] = (pool.items[lane] if mask >> lane & 1 else unused - 1) * length

@@ -1,8 +1,8 @@
 """Vectors of WIDTH floats in a processor's wide registers, one lane each for as many runs side by side.
 
-A lane is added to a lane, compared with it, and so on, by the operators, and with a number as if all lanes had it. A
-comparison is an int, whose bits are the lanes where it holds. No operation here rounds otherwise than its scalar ones,
-and no sum is reordered: a run has the same bits on every processor, in any lane, beside any others.
+Operators act lane by lane on two vectors, or on a vector and a number, which stands for the same number in all lanes. A
+comparison gives an int, in which the bits of those lanes are set where it holds. Each operation rounds as its scalar
+counterpart does, and no sum is reordered: a run has the same bits on every processor, in any lane, beside any others.
 
 Vectors are loaded from, and stored to, rows of a contiguous array.
 """
@@ -29,8 +29,9 @@ def _has_wide_registers() -> bool:
         return False
 
 
-# Two of the widest registers: while one waits for its result, the other works. Of narrower ones more would take longer
-# where few runs share a driveline (measured: 1.75 times with one a driveline), and no less time where many do.
+# Two of the widest registers: while one waits for its result, the other works. More of narrower registers would take
+# longer where few runs share a driveline (measured: 1.75 times with one run a driveline), and no less time where many
+# do.
 WIDTH = 16 if _has_wide_registers() else 8
 ROW = 8  # numbers of a run that `gather` and `scatter` take at a time
 Vector = Any  # for mypy
@@ -70,7 +71,7 @@ def _splat(builder, x):
 
 
 def _at(context, builder, array, value, first, shape=_ROW):
-    """A pointer into an array, to as many numbers as its shape has."""
+    """A pointer to as many numbers of an array as a vector of type `shape` has, from number `first` on."""
     data = context.make_array(array)(context, builder, value).data
     return builder.bitcast(builder.gep(data, [first]), shape.as_pointer())
 
@@ -94,7 +95,7 @@ def load(typing, array, row):
 
 @_operation
 def number(typing, table, k):
-    """Element k of a table: a float of an array, and lanes of `OfLanes`; k not negative."""
+    """Element k of a table, k not negative: a float if the table is an array, lanes if it is `OfLanes`."""
 
     has_lanes = isinstance(table, types.BaseNamedTuple)
 
@@ -129,7 +130,7 @@ def splat(typing, x):
 
 
 def _by_llvm(name: str, sides: tuple[Any, ...]):
-    """An operation on rows of lanes that LLVM has; numbers stand for the same in all lanes."""
+    """An operation on lanes that is an intrinsic of LLVM; a number stands for the same number in all lanes."""
 
     def emit(context, builder, signature, values):
         lanes = _as_lanes(builder, signature.args, values)
@@ -162,7 +163,7 @@ def _as_lanes(builder, of, values):
 
 
 def _binary(operations: tuple[Any, ...], result, emit: Callable[..., Any]) -> None:
-    """Give lanes an operator, by all its names."""
+    """Define a binary operation on lanes for some of Python's operators, such as + and +=."""
 
     def typed(context):
         def types_of(a, b):
@@ -198,14 +199,14 @@ for _sign, _operator in (
     _binary((_operator,), types.int64, _comparison(_sign))
 
 
-@overload(operator.neg, strict=False)  # types are told of the one, and not of the other
+@overload(operator.neg, strict=False)  # the two functions may be annotated differently
 def _negated(a):
     return (lambda a: a * -1.0) if a == _LANES else None
 
 
 @_operation
 def choose(typing, bits, a, b):
-    """The lanes of a whose bits are set, and those of b elsewhere; both may be numbers."""
+    """Vector of the lanes of a where bits are set, and of b elsewhere; both may be numbers."""
 
     def emit(context, builder, signature, values):
         mask = builder.bitcast(builder.trunc(values[0], ir.IntType(WIDTH)), ir.VectorType(ir.IntType(1), WIDTH))
@@ -216,7 +217,7 @@ def choose(typing, bits, a, b):
 
 @_operation
 def first_of(typing, bits):
-    """The number of the lowest bit that is set; 64 for none."""
+    """Index of the lowest bit that is set; 64 for none."""
     return types.int64(types.int64), lambda context, builder, signature, values: builder.cttz(
         values[0], ir.IntType(1)(0)
     )
@@ -251,7 +252,7 @@ def _transposed(builder, rows: list[Any]) -> list[Any]:
 
 
 def _transfer(gathers: bool):
-    """The operation that copies numbers of runs into the lanes of rows, or back."""
+    """Make `gather`, which copies numbers of runs into the lanes of rows, or `scatter`, which copies them back."""
 
     def operation(typing, array, offsets, first, rows, row):
         def emit(context, builder, signature, values):
@@ -274,8 +275,8 @@ def _transfer(gathers: bool):
     return intrinsic(operation)
 
 
-# gather(array, offsets, first, rows, row): copy ROW numbers of an array from each of the places offsets[k] + first on
-# into lane k of so many rows, from `row` on. One by one it would take a run a quarter longer.
+# gather(array, offsets, first, rows, row): for each lane k, copy ROW numbers of an array, from place offsets[k] + first
+# on, into that lane of ROW rows, from `row` on. With numbers copied one by one, a run would take a quarter longer.
 gather = _transfer(gathers=True)
-# scatter(array, offsets, first, rows, row): the other way round.
+# scatter(array, offsets, first, rows, row): copy from the lanes of rows to the places of the array.
 scatter = _transfer(gathers=False)
