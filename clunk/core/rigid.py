@@ -1,9 +1,9 @@
 """Rigid flanks, the restitution model: impacts, releases, and which lashes stay closed through them.
 
-Where other lashes are closed, an impact is one of a driveline with these as rigid joints. An impulse presses flanks
-together and never pulls them: which of the closed lashes stay so is decided for all of them at once. So it is with the
-torques of flanks at rest, together with those of frictions: `clunk.core.rubbing`. There flanks may come to rest on each
-other without a torque, where others hold them: they are open, but have not separated.
+Where other lashes are closed, an impact acts on a driveline in which these are rigid joints. An impulse presses flanks
+together and never pulls at them, so which closed lashes stay closed is decided for all of them at once. For flanks at
+rest, whose torques only press, `clunk.core.rubbing` decides, together with frictions. In its choice, flanks may rest on
+each other without a torque, where other constraints hold them: such a lash is open, but has not separated.
 """
 
 import numpy as np
@@ -19,24 +19,26 @@ from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 # Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
 _MOST_IMPULSES = 100  # on each of the lashes that touch at one time
-_STILL = 1e-9  # of a lash's fastest touch: rounding tells whether flanks of another one that are slower approach
-_SWING = 0.1  # rad, of the motion to come, which rounds a gap as it goes on
-_APART = 1e-13  # of its terms: the gap with which a lash at rest begins to part beside another one, or touches with it
+_STILL = 1e-9  # share of a lash's fastest touch: whether slower flanks of another lash approach, only rounding decides
+_SWING = 0.1  # rad, amplitude assumed for the motion to come, whose rounding adds to that of a gap
+# Share of the terms of a gap: the gap given to a lash at rest that parts beside another one; within twice that, two
+# lashes touch at the same time.
+_APART = 1e-13
 
 
 @part
 def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: int) -> Entry:
-    """A touch of the restitution model, and the lock that may follow it at once.
+    """Resolve a touch of rigid flanks: the impact, and the rebound or the lock that follows it at once.
 
-    Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
-    than that ends with q' = 0: then the flanks lock, unless the torque that holds them so would pull: then they are
-    open, with the gap at zero and about to open. Where other open lashes touch at the same time, as those of equal
-    branches do, all of them rebound, or come to rest, by their speeds before. A touch no faster than flanks that
-    `_part_by` moved fall back leaves at rest what stuck.
+    If the touch is faster than the locking speed, closed lashes that the impact would pull apart separate. A rebound
+    not faster than the locking speed ends with q' = 0: the flanks lock, unless the torque that would hold them locked
+    pulls at them; then they are open, with the gap at zero and about to open. Other open lashes that touch at the same
+    time, as those of equal branches do, rebound or come to rest together with this one, each by its own speed before. A
+    touch as slow as the fall of flanks that `_part_by` has moved apart leaves frictions stuck that stuck before.
     """
     system, x = at.system, at.x
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
-    speed = side * max(side * speed, 0.0)  # flanks that parted within rounding may seem to touch as they go
+    speed = side * max(side * speed, 0.0)  # flanks that part within rounding may seem to touch as they move apart
     regime = opened(system, _resting_on(at, log, regime, count), lash)
     slowest, before = _locking_speed(at, log, regime, lash, speed), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
@@ -46,7 +48,8 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     parted = closed & ~held
     for other in range(system.lash_count):
         if parted >> other & 1:
-            _place(system, held, lash, x, 0, side * at.inputs[gap_input(lash)])  # or it would move the others later
+            # first the lash that touches: placed later, it would move the others
+            _place(system, held, lash, x, 0, side * at.inputs[gap_input(lash)])
             _part_by(ROUNDING, at, held, other, system.contacts[before, other].side)
             regime = opened(system, regime, other)
     events = log.events
@@ -55,19 +58,19 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     _strike_together(system, held, rebounds, x, touches)
     stops = system.friction_count > 0 and abs(speed) <= _falling_speed(at, regime, lash, 2.0 * _APART)
     fastest = abs(speed)
-    if stops:  # rates up to those that it gives are rounding
+    if stops:  # rates up to those that this touch gives count as rounding
         for k in range(x.size):
             fastest = max(fastest, abs(speed * system.impulse[held, lash, k]))
         fastest /= rubbing.WITHIN
-    for _ in range(_MOST_IMPULSES if stops else touches.size**4):  # to place one moves the others, by less
-        if stops:  # or what stuck would slip, part the flanks, and touch again, slower and slower, without end
+    for _ in range(_MOST_IMPULSES if stops else touches.size**4):  # placing one moves the others, by less each time
+        if stops:  # else stuck frictions would slip, and flanks part and touch again, slower and slower, without end
             regime = rubbing.in_motion(system, regime, fastest, x)
             rubbing.stop_all(system, regime, x)
             keep_locked(system, regime, x, at.inputs)
         touched, resting = 0, held
         for touch in touches:
             gap = touch.side * at.inputs[gap_input(touch.lash)]
-            if touches.size > 1:  # or they would touch apart as they become slow
+            if touches.size > 1:  # else they would no longer touch at one time once they are slow
                 _place(system, held, touch.lash, x, 0, gap)
             if not rebounds:
                 _hold(system, resting, touch.lash, x, gap)
@@ -91,17 +94,17 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
 
 @part
 def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds: bool, count: int) -> int:
-    """Write lash, speed and side of the other open lashes that touch at the same time, as those of equal branches do.
+    """Write lash, speed and side of other open lashes that touch at the same time, as those of equal branches do.
 
-    Of these, the ones that rebound, or do not, as the lash itself. They are behind the event `count`, its touch.
-    Returns how many events there are then.
+    Only those that rebound, or come to rest, as `lash` does are written, behind event `count`, the touch of `lash`.
+    Returns the number of events with these.
     """
     system, events = at.system, log.events
     for other in range(system.lash_count):
         twist, _ = rubbing.gap_coordinate(at, other)
         its_speed = speed_of(system, other, at.x)
         gap = at.inputs[gap_input(other)]
-        moved = _APART * _terms_of_gap(at, other)  # by `_part_by`, this lash or the one that touches
+        moved = _APART * _terms_of_gap(at, other)  # as `_part_by` may have moved this lash or the one that touches
         is_near = abs(gap - twist * np.sign(its_speed)) <= INSTANT * abs(its_speed) + 2.0 * moved
         is_near &= abs(its_speed) > _STILL * log.courses[lash].fastest
         if other == lash or system.contacts[regime, other].closed or not is_near:
@@ -116,10 +119,10 @@ def _note_touches_beside(at: Moment, log: Log, regime: int, lash: int, rebounds:
 
 @part
 def _strike_together(system: System, held: int, rebounds: bool, x: FloatArray, touches: Records) -> None:
-    """Give lashes that touch at one time the speeds that they shall have: θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l), Eq. 2.9.
+    """Apply the impulses of lashes that touch at one time: θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l), report Eq. 2.9.
 
-    M has what holds as rigid joints, and e is 0 without rebound. One impulse after the other brings its lash to its
-    speed, and changes others by less, until all have theirs.
+    M has the lashes in `held` as rigid joints, and e is 0 without rebound. Of several lashes, each in turn takes an
+    impulse that brings it to its final speed, and changes the speeds of the others by less, until all have theirs.
     """
     for _ in range(_MOST_IMPULSES if touches.size > 1 else 1):
         is_done = True
@@ -136,13 +139,13 @@ def _strike_together(system: System, held: int, rebounds: bool, x: FloatArray, t
 
 @part
 def _held_through(system: System, regime: int, lash: int, side: int, inputs: FloatArray) -> int:
-    """The closed lashes of a regime, as bits, that an impact on a flank of another one leaves closed.
+    """The closed lashes of a regime, as bits, that stay closed through an impact on a flank of another lash.
 
-    An impulse presses flanks together, and does not act on those that it lets part: of all sets of closed lashes the
-    one for which that holds, and there is only one but for lashes through which nothing passes, which stay closed.
-    Without a gap, there is a flank on either side.
+    An impulse presses flanks together, and does not act on flanks that it lets part. One set of closed lashes fulfils
+    this, and only one but for lashes through which no impulse passes, which stay closed. A lash without a gap always
+    stays closed, as it has a flank on either side.
     """
-    closed, always = held_with(system, regime, lash), 0  # those with a flank on either side
+    closed, always = held_with(system, regime, lash), 0  # `always`: those with a flank on either side
     for other in range(system.lash_count):
         always |= (closed >> other & 1 and inputs[gap_input(other)] <= 0.0) << other
     held = closed
@@ -169,7 +172,7 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
 
 @inlined_part
 def held_with(system: System, regime: int, lash: int) -> int:
-    """The closed lashes of a regime, as bits, but for one; -1 for none."""
+    """The closed lashes of a regime, as bits, without one of them; with -1, all."""
     held = 0
     for other in range(system.lash_count):
         held |= (other != lash and system.contacts[regime, other].closed != 0) << other
@@ -178,16 +181,18 @@ def held_with(system: System, regime: int, lash: int) -> int:
 
 @inlined_part
 def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
-    """The guard of a regime that is the gap of an open lash to one of its flanks."""
+    """The guard of a regime that is the gap of an open lash on one side."""
     return guard_of(system, regime, lash * system.functionals_per_lash + GAP, float(-side))
 
 
 @part
 def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, count: int) -> Entry:
-    """Entry into the regime of `rubbing.choose_states`, with the events that this makes.
+    """Entry into the regime that `rubbing.choose_states` chooses; writes the events that this choice makes.
 
+    ended : int
+        The guard that turned negative, or -1.
     touched : int
-        The lashes that touch at this moment, as bits, which lock or never were closed.
+        The lashes that touch at this moment, as bits: each of them locks, or counts as never closed.
     """
     system, x, before = at.system, at.x, _resting_on(at, log, regime, count)
     successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
@@ -196,9 +201,10 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
         if touched >> lash & 1 and (held >> lash & 1 or rubbing.is_carried(at, successor, lash)):
             record(at, log, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
             count += 1
-    # separations of flanks at rest: of those closed before, and open now, or closed on the other side, without a gap,
-    # which is a separation, a touch and a lock
-    resting = near = 0  # on each other, closed or not; and those so near that to part others could close them
+    # Separations of flanks at rest. Flanks that were closed are now open, or, without a gap, closed on the other side,
+    # which is a separation, a touch and a lock.
+    # resting: flanks on each other, closed or not; near: also those so near that parting others could close them
+    resting = near = 0
     for lash in lashes:
         rests = system.contacts[before, lash].closed != 0 or rubbing.rest(at, lash)
         gap = at.inputs[gap_input(lash)] - abs(rubbing.gap_coordinate(at, lash)[0])
@@ -207,14 +213,14 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     for lash in lashes:
         side, now = system.contacts[before, lash].side, system.contacts[successor, lash].side
         others = near & ~(1 << lash)
-        if side == 0 and resting & others & ~held and resting >> lash & 1:  # or to release these would move it
+        if side == 0 and resting & others & ~held and resting >> lash & 1:  # releasing the others would move this one
             twist, _ = rubbing.gap_coordinate(at, lash)
             _part_by(_APART, at, others, lash, 1 if twist > 0.0 else -1)
         if side in (0, now):
             continue
         is_carried = now == 0 and rubbing.is_carried(at, successor, lash)
         torque_held, scale, slope, _ = rubbing.holding_torque(at, successor, lash)
-        # where a jump parts them, q'' is not zero
+        # where a jump of the load parts the flanks, q'' is not zero
         clearly = abs(torque_held) > _CLEARLY_NOT_ZERO * scale
         if now:
             _hold(system, held & ~(1 << lash), lash, x, 0.0)
@@ -222,8 +228,8 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
                 force = lash * system.functionals_per_lash + FORCE
                 zero_guard, zero_order = guard_of(system, successor, force, float(now)), 1
         elif not is_carried and zero_guard < 0 and (clearly or system.lash_count == 1):
-            # released where it was held, but for what rounding has added up; unless it presses, only the load's slope
-            # may tell what zero is
+            # The flanks are released where they were held, without the rounding added up since. Where their torque is
+            # zero, q'' is zero too, and the torque's slope decides, unless that presses.
             zero_guard = _touch_of(system, successor, lash, side)
             zero_order = 2 if clearly or side * slope > 0.0 else 3
             _hold(system, others, lash, x, side * at.inputs[gap_input(lash)])
@@ -247,7 +253,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
 
 @part
 def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
-    """The regime with those lashes closed that have not separated, as the log tells, and whose flanks others hold."""
+    """The regime in which open lashes also count as closed that have not separated, and whose flanks others hold."""
     system, events = at.system, log.events
     for lash in range(system.lash_count * system.impulsive if system.friction_count > 0 else 0):
         if not system.contacts[regime, lash].closed and rubbing.is_carried(at, regime, lash):
@@ -262,40 +268,40 @@ def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
 
 @part
 def _part_by(share: float, at: Moment, held: int, lash: int, side: int) -> None:
-    """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
+    """Move flanks in contact apart by a share of the terms of their gap, so that rounding does not close the gap."""
     _place(at.system, held, lash, at.x, 0, side * (at.inputs[gap_input(lash)] - share * _terms_of_gap(at, lash)))
 
 
 @inlined_part
 def _terms_of_gap(at: Moment, lash: int) -> float:
-    """Size of the terms of a lash's gap, by which it is rounded, now and as the motion goes on  [rad]."""
+    """Size of the terms that round the gap of a lash, now and in the motion to come  [rad]."""
     _, size = rubbing.gap_coordinate(at, lash)
     return at.inputs[gap_input(lash)] + size + _SWING
 
 
 @part
 def _locking_speed(at: Moment, log: Log, regime: int, lash: int, speed: float) -> float:
-    """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding.
+    """The speed up to which rebounds of a lash lock: its locking speed, or a speed whose rebound is as low as rounding.
 
     speed : float  [rad/s]
-        Of a touch, which may be the fastest of the lash so far.
+        Of a touch, which is taken into the lash's COURSE, as it may be the fastest so far.
     """
     tolerance, course = at.system.locking_speed[lash], log.courses[lash]
     course.fastest = max(course.fastest, abs(speed))
-    # flanks that `_part_by` moved fall through the rounding of the gap at half the latter
+    # flanks that `_part_by` has moved by ROUNDING fall back at half the last of these speeds
     return max(tolerance, -tolerance * course.fastest, _falling_speed(at, regime, lash, 4.0 * ROUNDING))
 
 
 @part
 def _falling_speed(at: Moment, regime: int, lash: int, share: float) -> float:
-    """The speed of a rebound in a regime that is as low as a share of the terms of the gap  [rad/s]."""
+    """The speed of flanks that fall, by their q'' in a regime, through a share of the terms of their gap  [rad/s]."""
     pull, _ = rubbing.derivative(at, regime, lash * at.system.functionals_per_lash + GAP, 2)
     return np.sqrt(2.0 * abs(pull) * share * _terms_of_gap(at, lash))
 
 
 @part
 def keep_locked(system: System, regime: int, x: FloatArray, inputs: FloatArray) -> None:
-    """Bring locked flanks back to each other, from which rounding drives them step by step."""
+    """Bring locked flanks back to q = s φ/2 and q' = 0, from which rounding moves them step by step."""
     for lash in range(system.lash_count * system.impulsive):
         contact = system.contacts[regime, lash]
         if contact.closed:
@@ -304,9 +310,9 @@ def keep_locked(system: System, regime: int, x: FloatArray, inputs: FloatArray) 
 
 @part
 def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> None:
-    """Make q = `gap` and q' = 0 as an impulse would, which moves neither the centre of mass nor the lashes that hold.
+    """Make q = `gap` and q' = 0 by a change like an impulse's, which moves no centre of mass and no lash in `held`.
 
-    The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes what is left of
+    The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes the remaining
     rounding, so that q' is zero to the last bit.
     """
     _place(system, held, lash, x, 0, gap)
@@ -315,7 +321,7 @@ def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> No
 
 @part
 def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> None:
-    """Make what `_hold` does of q, in the angles from `first` on, or of q', in the speeds."""
+    """Make q = `target`, where the state's angles begin at `first`, or q', where its speeds do; as in `_hold`."""
     n, row, impulse = system.inertias, system.lashes[lash], system.impulse[held, lash]
     excess = -target
     last = -1

@@ -1,20 +1,20 @@
 """At an event, the choice of the frictions that stick or slip, and of the rigid flanks that stay locked or part.
 
-Which flanks press depends on what the frictions hold, and what these hold on which flanks are locked. So the states of
-all that rests, which are locked flanks, sticking frictions, and those whose rate of twist is zero, are chosen at once.
-Of all combinations that one is taken in which
+Which flanks press depends on the torques that frictions hold, and these depend on which flanks are locked. So the
+states of all elements at rest are chosen at once: of locked flanks, sticking frictions, and frictions whose rate of
+twist is zero. Of all combinations of their states, that one is taken in which
 
-- locked flanks press on each other, and others accelerate apart;
-- a friction sticks with a torque of at most F, or slips one way with that acceleration.
+- flanks that stay locked press on each other, and flanks that part accelerate apart;
+- a friction that sticks holds with a torque of at most F, and one that slips accelerates the way it slips.
 
-Where one of these is at its limit, its rate of change decides. There is such a combination, and accelerations in it are
-unique, as for any convex friction law and flanks that only press (Gauss's principle of least constraint), so that
-neither the order of elements nor that of events matters. Where some hold what others hold too, their torques are not
-unique, and no motion depends on them: as many flanks stay locked as do not pull, as many frictions stick as hold the
-rest, and the others have a torque of F, either way, and a rate of twist that stays zero.
+Where such a torque or acceleration is at its limit, its rate of change decides. There is such a combination, and its
+accelerations are unique, as for any convex friction law and flanks that only press (Gauss's principle of least
+constraint), so that neither the order of elements nor that of events matters. Where several elements hold the same
+twist, their torques are not unique, and no motion depends on them: as many flanks stay locked as do not pull, as many
+frictions stick as hold the rest, and the others have a torque of F, either way, and a rate of twist that stays zero.
 
-An impact is over before a friction's torque makes an impulse: what it sets in motion slips, whatever stuck before. But
-one that is as slow as rounding sets nothing in motion that stuck.
+An impact is over before a friction's torque makes an impulse: frictions whose twists it sets in motion slip, even if
+they stuck before. Only an impact as slow as rounding leaves those stuck that stuck before.
 """
 
 import numpy as np
@@ -45,37 +45,41 @@ from clunk.core.tables import (
     STICKS,
 )
 
-WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
-# s, for which the terms of an acceleration make a rate: one that could be rounding; one above the rounding of rk4's
-# states, which counts as zero at rest; and one above that of the slowest modes, by exact
+WITHIN = 1e-11  # share of its terms: a rate of twist, an acceleration or an excess of torque no larger counts as zero
+# s; times the terms of an acceleration they make a rate. With WITHIN, _STARTING_TIME makes a rate that may be rounding,
+# and counts as zero. With _KICK, OF_STEPS makes a rate above the rounding of RK4's states that still counts as zero,
+# and OF_MODES, for the exact method, a rate above the rounding of its slowest modes.
 _STARTING_TIME, OF_STEPS, OF_MODES = 1e-4, 3e-4, 0.1
-# Of what it could be: the rate with which frictions set off that begin to slip at one time, or where rounding tells
-# that one does; and how near to that all of them are brought, or rigid flanks of equal branches would touch one by one.
+# Shares of the size of a rate of twist: the rate given to frictions that begin to slip at one time, or of which
+# rounding decides that they begin; and how near to it all of these rates are brought. Farther apart, rigid flanks of
+# equal branches would touch one by one.
 _KICK, _EQUAL = 1e-13, 1e-15
-_MOST_KICKS = 100  # of each friction: they change each other's rates, by less and less
+_MOST_KICKS = 100  # of each friction: kicks change the rates of the other frictions, by less and less
 
 
 @inlined_part
 def tolerance_after(phase: float) -> float:
-    """`WITHIN`; but at an event that ends a phase of no time, 0.
+    """Share of its terms below which a torque or rate counts as zero at an event: `WITHIN`, or 0 after an instant.
 
-    There the states that were chosen within rounding gave way at once, as they would again. Signs decide then.
+    Where a phase is shorter than INSTANT, the states chosen at its beginning within rounding gave way at once, and
+    would do so again: signs alone then decide.
 
     phase : float  [s]
+        Length of the phase that the event ends.
     """
     return WITHIN if phase >= INSTANT else 0.0
 
 
 @part
 def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
-    """Set the twists at which frictions stick, inputs of a run, to those of a state  [rad]."""
+    """Set the inputs that are the twists at which frictions stick to the twists in a state  [rad]."""
     for k in range(system.friction_count):
         inputs[input_of_friction(system, k) + 1] = twist_of(system, system.frictions[k], x)[0]
 
 
 @part
 def stop_all(system: System, regime: int, x: FloatArray) -> None:
-    """Make zero, in the state, the rates of twist of the frictions that stick in a regime  [rad/s]."""
+    """Set the rates of twist, in a state, of the frictions that stick in a regime to zero."""
     for k in range(system.friction_count):
         if system.friction_states[regime, k] == STICKS:
             _speed_up(system, k, 0, -_rate(system, system.frictions[k], 0.0, x)[0], x)
@@ -86,7 +90,7 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
     """The regime in which each friction whose rate of twist is not zero slips that way, and the others stick.
 
     speed : float  [rad/s]
-        Of an impact before, of which rates have the rounding.
+        Of an impact just before, to which the rounding of rates is relative.
     """
     for k in range(system.friction_count):
         state, (rate, most) = STICKS, _rate(system, system.frictions[k], speed, x)
@@ -98,27 +102,27 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
 
 @part
 def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple[int, int, int]:
-    """The regime that follows one in which a guard of what rests turned negative, or torques or rates may jump.
+    """The regime that follows where a guard of an element at rest turned negative, or torques or rates may have jumped.
 
     Parameters
     ----------
     at : Moment
         Its state is changed by less than rounding.
     resting_on : int
-        The regime with all flanks closed that rest on each other, see `clunk.core.rigid`.
+        The regime in which all flanks are closed that rest on each other, see `rigid._resting_on`.
     ended : int
-        The guard, or -1.
+        The guard that turned negative, or -1.
 
     Returns
     -------
     regime : int
     zero_guard, zero_order : int
-        Its guard, of a friction, that is zero, and how many of the guard's derivatives are, itself included; -1 and 0
-        without any.
+        The guard of a friction that is zero in that regime, and how many of the guard's derivatives are, the guard
+        itself included; -1 and 0 without such a guard.
     """
     system, x, inputs = at.system, at.x, at.inputs
     count, event, resting, locked = system.friction_count, -1, 0, 0
-    # those that stick, as bits: whether they do comes last in the number of the flow
+    # frictions that stick, as bits: the highest digits of the flow's number
     sticking = system.regimes[regime].flow // (system.rates.shape[0] >> count)
     if ended >= 0:  # functionals of frictions are the last
         event = max((system.guards[regime, ended].functional - rate_of_friction(system, 0)) // OF_FRICTION, -1)
@@ -133,7 +137,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
             _, terms = derivative(at, regime, rate_of_friction(system, k), 1)
             brake = weigh(system.frictions[k], system.inputs[0, :, input_of_friction(system, k)])
             most += (terms + system.friction_torques[k] * abs(brake)) * _STARTING_TIME
-            if abs(rate) >= at.within * most:  # also 0 by 0, of one that others hold: it does not stick for that
+            if abs(rate) >= at.within * most:  # also where both are 0, as others hold the twist: no reason to stick
                 continue
         resting |= 1 << k
     failed = regime if ended >= 0 and event < 0 else -1
@@ -143,13 +147,13 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
     for j in range(_MOST_KICKS * count):
         if j - kicked == count:  # all have their rates
             break
-        k = (event + 1 + j) % count  # the event's comes last: another one may be set off
+        k = (event + 1 + j) % count  # the friction of the event comes last: another one may be set off before it
         state, row, functional = system.friction_states[best, k], system.frictions[k], rate_of_friction(system, k)
         way, (rate, most) = 1.0 if state == SLIPS_FORWARD else -1.0, _rate(system, row, 0.0, x)
         if state == STICKS:
             if system.friction_states[regime, k] != STICKS:
                 inputs[input_of_friction(system, k) + 1] = twist_of(system, row, x)[0]
-        # or slips the other way, which is rounding where two begin at one time
+        # at rest, or with a rate against its slip, which is rounding where two begin to slip at one time
         elif (resting >> k & 1 or way * rate < 0.0) and not _is_held(system, best, functional):
             speeds_up, size = derivative(at, best, functional, 1)
             clearly, kick = way * speeds_up > at.within * size, _KICK * (most + at.rounded * size)
@@ -166,7 +170,7 @@ def choose_states(at: Moment, regime: int, resting_on: int, ended: int) -> tuple
 
 @part
 def _speed_up(system: System, friction: int, flow: int, kick: float, x: FloatArray) -> None:
-    """Add a kick to the rate of twist of a friction, by an impulse of it in a flow in which it slips  [rad/s]."""
+    """Add a kick [rad/s] to the rate of twist of a friction, by an impulse across it in a flow in which it slips."""
     along = system.inputs[flow, :, input_of_friction(system, friction)]
     rate = weigh(system.frictions[friction], along)
     for j in range(x.size):
@@ -175,7 +179,7 @@ def _speed_up(system: System, friction: int, flow: int, kick: float, x: FloatArr
 
 @part
 def _misfits(at: Moment, regime: int, before: int, locked: int, resting: int) -> float:
-    """Sum of the misfits of some lashes and frictions at rest, as bits, in a regime; see `_misfit`."""
+    """Sum of the misfits, in a regime, of the `locked` lashes and the `resting` frictions, as bits; see `_misfit`."""
     misfit = 0.0
     for lash in range(at.system.lash_count):
         if locked >> lash & 1:
@@ -188,9 +192,10 @@ def _misfits(at: Moment, regime: int, before: int, locked: int, resting: int) ->
 
 @part
 def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, locked: int) -> int:
-    """The regime, of those in which only what rests has other states, whose states fit each other best.
+    """The regime of the least misfit, of those that differ from a given one only in the states of elements at rest.
 
-    Of several it is the first: one in which some flanks part comes behind those in which only some of these do.
+    Of several such regimes it is the first: one in which some flanks part comes after those in which only some of these
+    part.
 
     failed : int
         The regime in which locked flanks turned out to pull, or -1.
@@ -208,18 +213,18 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
         for lash in range(system.lash_count):
             if (locked & ~closed) >> lash & 1:
                 base = opened(system, base, lash)
-                if not at.inputs[gap_input(lash)] > 0.0:  # they close on the other side
+                if not at.inputs[gap_input(lash)] > 0.0:  # without a gap, they close on the other side
                     was_positive = system.contacts[regime, lash].side > 0
                     base += (CLOSED_NEGATIVE if was_positive else CLOSED_POSITIVE) * system.regime_strides[lash]
         for number in range(combinations):
             candidate, digits = base, number
-            for j in range(count):  # first the one that the event is of
+            for j in range(count):  # the state of the event's friction changes first
                 k = (max(event, 0) + j) % count
                 if resting >> k & 1:
                     candidate += (digits % 3 - system.friction_states[regime, k]) * stride_of_friction(system, k)
                     digits //= 3
             stays = candidate == failed
-            if event >= 0:  # what could not stick does not stick again
+            if event >= 0:  # a friction that could stick no longer does not stick again
                 states = system.friction_states[regime, event], system.friction_states[candidate, event]
                 stays = states == (STICKS, STICKS)
             if stays or system.excess[system.regimes[candidate].flow]:
@@ -235,9 +240,9 @@ def _fitting(at: Moment, regime: int, failed: int, event: int, resting: int, loc
 
 @part
 def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
-    """Misfit of rigid flanks at rest, closed before, to their state in a regime; see `_misfit`.
+    """Misfit of rigid flanks at rest, closed before, to their state in a regime, as a share of terms; see `_misfit`.
 
-    Where they are closed, that is the torque that pulls at them; where they have parted, the one that presses.
+    The misfit of closed flanks is the torque that pulls at them; that of flanks that part, the torque that presses.
     """
     system, way = at.system, at.system.contacts[before, lash].side
     if system.contacts[regime, lash].side != way:
@@ -251,9 +256,10 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
 
 @part
 def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, float, float]:
-    """The torque that keeps q'' at zero, the size of the terms that make it so far, and both of its rate in a regime.
+    """The torque that keeps q'' at zero in a regime, the size of its terms; its rate of change, the size of its terms.
 
-    So far the terms of its rate make it, too: a torque that has fallen to zero is rounded as what it has fallen by.
+    Returns four numbers  [N m, N m, N m/s, N m/s]. The size of the torque's terms includes that of its rate times the
+    time so far: a torque that has fallen to zero has the rounding of what it has fallen by.
     """
     force = lash * at.system.functionals_per_lash + FORCE
     torque, size = derivative(at, regime, force, 0)
@@ -265,9 +271,9 @@ def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, fl
 def _misfit(at: Moment, regime: int, friction: int) -> float:
     """Misfit of a friction at rest to its state in a regime, as a share of the terms; 0 where it fits.
 
-    Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
-    it is `within` if the friction is about to leave it, not by rounding alone: that takes long to tell, and is asked at
-    the limit only.
+    The misfit of a sticking friction is the torque beyond F; that of a slipping one, the acceleration against its slip.
+    At the limit of a state it is `within` if the friction is about to leave that state, not by rounding alone: the rate
+    of change that decides takes long to compute, and is computed at the limit only.
     """
     system, most, way = at.system, at.system.friction_torques[friction], 1.0
     state, functional, order = system.friction_states[regime, friction], rate_of_friction(system, friction), 2
@@ -275,7 +281,7 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
         functional, order = functional + HOLDING, 1
         torque, size = derivative(at, regime, functional, 0)
         beyond, size, way = abs(torque) - most, size + most, -torque
-        # rigid flanks: at F, and not only at the little more that it holds
+        # with rigid flanks the limit begins at F, not only at the slightly larger torque that the friction holds
         limit = most / (1.0 + ABOVE) if system.impulsive else most
         is_at_limit = abs(torque) - limit > -at.within * size
     elif _is_held(system, regime, functional):
@@ -297,7 +303,7 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
 def derivative(at: Moment, regime: int, functional: int, order: int) -> tuple[float, float]:
     """A functional's derivative by time in a regime, of order 0, 1 or 2, and the sum of its terms' magnitudes."""
     rows, size = at.system.outputs[at.system.regimes[regime].flow, functional, order], at.x.size
-    value, by_inputs, magnitude = 0.0, 0.0, 0.0  # sums of their own: the processor takes them at a time
+    value, by_inputs, magnitude = 0.0, 0.0, 0.0  # separate sums, which the processor adds up in parallel
     for k in range(size):
         value, magnitude = value + rows[0, k] * at.x[k], magnitude + rows[1, k] * abs(at.x[k])
     for k in range(at.inputs.size):
@@ -308,7 +314,11 @@ def derivative(at: Moment, regime: int, functional: int, order: int) -> tuple[fl
 
 @part
 def _rate(system: System, weights: FloatArray, fastest: float, x: FloatArray) -> tuple[float, float]:
-    """The rate, weights (N,) times the state, and the most that it could be at the fastest inertia's speed  [rad/s]."""
+    """The rate that is weights (N,) times the state, and its bound by the fastest inertia's speed  [rad/s].
+
+    fastest : float  [rad/s]
+        A speed that the bound takes for an inertia's, if all inertias are slower.
+    """
     value, total = 0.0, 0.0
     for k in range(system.inertias, 2 * system.inertias):
         value += weights[k] * x[k]
@@ -335,15 +345,16 @@ def gap_coordinate(at: Moment, lash: int) -> tuple[float, float]:
 
 @part
 def _is_held(system: System, regime: int, functional: int) -> bool:
-    """Whether what a functional tells stays zero in a regime, held by others, so that it is none."""
+    """Whether a functional is identically zero in a regime, as other constraints hold what it is of."""
     flow = system.regimes[regime].flow
-    told, through = system.functionals[flow, functional], system.feedthrough[flow, functional]
-    return weigh(told, told) + weigh(through, through) == 0.0  # `any` of numba's imports scipy's linear algebra
+    by_state, by_inputs = system.functionals[flow, functional], system.feedthrough[flow, functional]
+    # not by `any`: numba's imports scipy's linear algebra
+    return weigh(by_state, by_state) + weigh(by_inputs, by_inputs) == 0.0
 
 
 @part
 def is_carried(at: Moment, regime: int, lash: int) -> bool:
-    """Whether the rigid flanks of an open lash rest on each other, and what sticks or is locked holds them there."""
+    """Whether the rigid flanks of an open lash rest on each other, held by what sticks or is locked elsewhere."""
     held = _is_held(at.system, regime, lash * at.system.functionals_per_lash + FORCE)
     return at.system.friction_count > 0 and held and rest(at, lash)
 
