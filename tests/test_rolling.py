@@ -19,6 +19,7 @@ from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError
+from clunk.study.study import replace_values
 
 METHODS = ("rk4", "exact")
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -308,6 +309,19 @@ def test_so_little_drag_that_steady_motion_has_lost_its_digits_is_refused(method
     for shafts in (plant.shafts, (staged, *plant.shafts[1:])):
         with pytest.raises(ClunkError, match="faster than 10⁷ rad/s"):
             simulate(study_of(replace(plant, shafts=shafts), method))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_gear_ratios_along_a_loop_that_all_but_fit_are_refused_and_spoil_no_other_cell(method):
+    """The half-shafts are a loop. Where its ratios miss by 1e-6, it holds the car once it is wound up to 1e11 rad; by
+    1e-7, only rounding holds it. By 1e-2, it is wound up to 5e3 rad, beside which a twist has 11 digits."""
+    study = load_study(CONFIGS / "car_tip_in.toml", [f"solver.method='{method}'"])
+    key = "driveline.shafts[3].ratio"
+    with pytest.raises(ClunkError, match=r"by more than 10⁶ rad; .* gear ratios along a loop"):
+        simulate(replace_values(study, {key: 1.000001}))
+    runs = run_points(study, {key: [1.0, 0.9999999, 1.01, 1.000001]})
+    assert runs.status.tolist() == [Status.OK, Status.NO_EQUILIBRIUM, Status.OK, Status.NO_EQUILIBRIUM]
+    assert np.array_equal(runs.severity[[0, 2]], run_points(study, {key: [1.0, 1.01]}).severity)
 
 
 GEARED = """

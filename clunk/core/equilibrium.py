@@ -6,6 +6,7 @@ Arrays have the shape given here for one driveline, and one more axis in front f
 import numpy as np
 
 from clunk.core.arrays import FloatArray
+from clunk.core.batches import UnlikeError
 
 # A torque across a lash below this share of the load, or of a gap times the largest stiffness, counts as zero: rounding
 # leaves as much of a load that does not reach the lash, or of a gap that does not load it.
@@ -45,6 +46,11 @@ def steady_motion(
         θ per unit of each input.
     across : (L, m) float64
         τ per unit of each input.
+
+    Raises
+    ------
+    UnlikeError
+        Where a driveline of a batch is held by no more than rounding: its angles are then as large as that makes them.
     """
     *batch, n, driven = torques.shape
     scale = _largest(stiffness)
@@ -56,7 +62,13 @@ def steady_motion(
     matrix[..., of_lashes, of_lashes] = -(scale[..., 0] ** 2) * compliance
     right = np.zeros((*batch, size, driven))
     right[..., :n, :], right[..., of_lashes, :] = torques, scale * gaps
-    solution = np.linalg.solve(matrix, right)
+    try:
+        solution = np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:  # held by no more than rounding, as by gear ratios along a loop that all but fit
+        if batch and len(matrix) > 1:
+            raise UnlikeError(np.array_split(np.arange(len(matrix)), 2)) from None
+        matrix[..., :n, :n] += _ROUNDING * scale * np.eye(n)
+        solution = np.linalg.solve(matrix, right)
     solution += np.linalg.solve(matrix, right - matrix @ solution)  # iterative refinement, one step
     across = scale * solution[..., of_lashes, :]
     across[abs(across) <= _ROUNDING * np.where(gaps.any(axis=0), scale, 1.0)] = 0.0
