@@ -1,4 +1,4 @@
-"""RK4's full steps as matrices, and what bounds all that can follow."""
+"""RK4's full steps as matrices, and bounds on all that can follow a state."""
 
 from typing import Any, NamedTuple
 
@@ -12,10 +12,11 @@ from clunk.core.status import UNSTABLE_STEP
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 # On a step of length h, |p(s)| exceeds its larger end value by at most max|p''| h²/8 <= |c2|/4 + 3|c3|/4 + 3|c4|/2
-# in the step's Taylor terms c_k = p_k h^k; these factors make that a plain sum.
+# in the step's Taylor terms c_k = p_k h^k; these factors, of p and of c2, c3, c4, make that a plain sum.
 BEND = (1.0, 0.25, 0.75, 1.5)
-STRIDE = 64  # steps in one product that tells nothing of what is between its ends, where a bound does: a power of 2
-IN_PLACE, STEP, STRIDES = range(3)  # tables of no step, which adds the outputs to a state, of one and of a stride
+STRIDE = 64  # steps in one product, taken where a bound covers what is between its ends: a power of 2
+# Tables in `Steps.transfer`: of no step, which computes the outputs of a state, of one step, and of a stride.
+IN_PLACE, STEP, STRIDES = range(3)
 
 
 class Steps(NamedTuple):
@@ -25,27 +26,29 @@ class Steps(NamedTuple):
     # x -> (x, outputs) by no step, one and a stride, rows contiguous; outputs are each functional's value and its
     # Taylor terms of order 2, 3, 4 over the next step, times BEND
     transfer: FloatArray  # (K, 3, columns, rows)
-    # what inputs add to these three, to coordinates y, less those of the steady motion, and to a functional's distance
-    # from its chord over a stride, with its sign
+    # what each input adds to the states and outputs of these three, to coordinates y, which are relative to the steady
+    # motion, and to a functional's distance from its chord over a stride, with its sign
     by_inputs: FloatArray  # (K, I, 3 rows + 2 M + F)
     # bounds on what follows, by the amplitudes of M pairs of coordinates, see `exact.flows`
-    settles: IntArray  # (K,)  whether they bound all that follows
-    strides: IntArray  # (K,)  whether they bound a stride
+    settles: IntArray  # (K,)  whether the amplitudes bound all that follows
+    strides: IntArray  # (K,)  whether the amplitudes bound a stride
     mode_rows: FloatArray  # (K, columns, 2 M)  coordinates y of a state, first one member of each pair, then the other
     mode_reach: FloatArray  # (K, F, M)  largest change of a functional per unit amplitude of a pair
-    mode_sag: FloatArray  # (K, F, M)  its largest distance from its chord over a stride, per unit amplitude
-    # (K, 3 or 0, F)  and what a ramp adds, per unit of its torque and rate, then its change per rate
+    mode_sag: FloatArray  # (K, F, M)  largest distance of a functional from its chord over a stride, likewise
+    # (K, 3 or 0, F)  what a ramp adds to that distance, with its sign: by its torque and by its rate at the beginning
+    # of a stride, and how much more by its rate until the stride ends
     ramp_sag: FloatArray
     rest_functional: FloatArray  # (K, F, I)  a functional in steady motion
 
 
 def build_steps(system: System, flows: Flows, step: float) -> tuple[System, Steps]:
-    """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s.
+    """The system, with its status where RK4 is unstable, and RK4's tables for a step of `step` s.
 
-    flows : of the driveline, whose modes tell what can follow; for a load with ramps, those without the ramps
+    system : of one driveline, with the states of its load's wave
+    flows : of that driveline, whose modes bound what can follow; for a load with ramps, without the states of ramps
     """
     stable, of_y, of_sag, *bounds = _bounds(system, flows, step)
-    # of STRIDE unstable steps, which no run takes, the tables may overflow: they are those of no step
+    # an unstable step, which no run takes, is replaced by 0 s: its tables of STRIDE steps could overflow
     transfer, inputs = _propagators(system, step * stable)
     if not stable:
         system = system._replace(status=UNSTABLE_STEP)
@@ -62,7 +65,7 @@ def _propagators(system: System, step: float) -> tuple[FloatArray, FloatArray]:
     """RK4 steps as matrices, (K, 3, columns, rows), and what the inputs add to them, (K, I, 3 rows).
 
     One step is the Taylor polynomial of exp(hA) to degree 4, identical to the four stages. The outputs of the state
-    that it leads to are appended to it, so that stepping and watching are one product.
+    after the step are appended to that state, so that one product yields both.
     """
     rates, inputs = step * system.rates, step * system.inputs
     flows, size, driven = inputs.shape
@@ -92,15 +95,16 @@ def _propagators(system: System, step: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
-    """Per flow, what bounds a functional for all time, and over a stride: its steady motion and its modes' amplitudes.
+    """Bounds of functionals in each flow, for all time and over a stride, by steady motion and amplitudes of modes.
 
-    With pairs of coordinates y and their rates λ, a functional is that of the origin and a sum of c · y. |y| never
-    grows, neither by exp(λ t) nor by RK4's powers of R(h λ), within a step included (checked on a grid of partial
-    steps). Over n steps c · y is away from its chord by at most n² h²/8 of the bound of its second derivative, which is
-    1 + z + z²/2 of that on a partial step z, and by n² |h λ|³/96 of it more for the kinks between quartics; and by at
-    most twice what such a derivative is of. The origin is, where parts of the driveline are free of each other, a
-    parabola, and under a ramp a cubic: away from its chord by (n h)²/8 of its second derivative. A flow without modes
-    has no such bounds.
+    A functional is its value for the origin and a sum of c · y, over the pairs y of modal coordinates with rates λ. |y|
+    never grows, neither by exp(λ t) nor by RK4's powers of R(h λ), nor within a step (checked on a grid of partial
+    steps). Over n steps, c · y is away from its chord by at most n² h²/8 of the bound of its second derivative. RK4's
+    second derivative is 1 + z + z²/2 times the exact one at a step's beginning, after a partial step z = λ s; and kinks
+    between the quartics of steps add n² h² |h λ|³/96 of the bound. The distance is also at most twice the bound of
+    |c · y|, which is the one of the second derivative over |λ|². Where parts of the driveline are free of each other,
+    the origin is a parabola in time, and under a ramp a cubic: away from its chord by (n h)²/8 of its second
+    derivative. A flow without modes has no such bounds.
 
     Returns whether RK4 is stable, what the inputs add to y and to a sag, and the fields of `Steps` from `settles` on.
     """
@@ -108,12 +112,12 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     eigenvalues = np.linalg.eigvals(flows.generator).astype(np.complex128)
     stable = np.all(rk4_growth(eigenvalues, step / flows.span[:, :1]) <= 1 + 1e-9)
     rates = flows.propagator[:, -1] / flows.span[:, 0, None, None, None]
-    own, cross = np.moveaxis(rates.reshape(*rates.shape[:-1], 2, PAIRS), 2, 0)  # SELF and CROSS, (K, B, 2, 4)
+    real, cross = np.moveaxis(rates.reshape(*rates.shape[:-1], 2, PAIRS), 2, 0)  # SELF and CROSS, (K, B, 2, 4)
     turning = -cross.prod(axis=-2, keepdims=True)  # ω², or 0
-    partial_steps = step * (own + 1j * np.sqrt(turning + 0j)) * np.arange(1, 9).reshape(-1, 1, 1, 1, 1) / 8
+    partial_steps = step * (real + 1j * np.sqrt(turning + 0j)) * np.arange(1, 9).reshape(-1, 1, 1, 1, 1) / 8
     strides = flows.modal * (rk4_growth(partial_steps, 1.0) <= 1 + 1e-12).all(axis=(0, 2, 3, 4))
     curvature = abs(1 + partial_steps * (1 + partial_steps / 2)).max(axis=0) + abs(partial_steps[-1]) ** 3 / 12
-    squared = own**2 + turning
+    squared = real**2 + turning
     slowest = np.where(squared > 0.0, squared, np.inf).min(axis=-2)
     bending = np.hypot(*np.split(flows.watch[..., CURVATURE:THIRD], 2, axis=-1))  # (K, F, B, 4)
     parabola = (STRIDE * step) ** 2 / 8
@@ -132,6 +136,6 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
         rows[:, states:size] = -steady[:, by_ramp]
         of_ramp[:, :2], of_ramp[:, 2] = bent[:, by_ramp], STRIDE * step * bends_on[:, TORQUE_RATE]
     rows, by_inputs = (halves(array).swapaxes(-3, -2).reshape(array.shape) for array in (rows, -steady))
-    reach = flows.watch[..., SWAY : SWAY + PAIRS].copy()  # a kernel is compiled anew for what is not contiguous
+    reach = flows.watch[..., SWAY : SWAY + PAIRS].copy()  # contiguous: for other arrays, kernels are compiled anew
     bounds = rows, reach.reshape(pairs), sag.reshape(pairs), of_ramp
     return stable, by_inputs, bent, strides * flows.steady, strides, *bounds, flows.origin_output[:, 0].copy()

@@ -1,8 +1,8 @@
-"""A quartic on one time step: where it turns negative, and its extremes.
+"""Zeros and extremes of a quartic on one time step.
 
 On a linear regime one RK4 step of length s is x(s) = sum over k <= 4 of (sA)^k/k! x, so every linear functional of the
 state (the gap, the contact force, an acceleration) is a quartic p(s) = c0 + c1 s + c2 s^2 + c3 s^3 + c4 s^4 in the
-step's length. Finding an event is finding a zero of p, without integrating anything again.
+step's length. To locate an event is to find a zero of p, without another integration.
 """
 
 from clunk.core.jit import part
@@ -36,7 +36,7 @@ def bisect(p: Quartic, low: float, high: float) -> float:
 
 @part
 def _most_change(p: Quartic, length: float) -> float:
-    """Bound of how far p is from its beginning on [0, length]."""
+    """Bound of |p(s) - p(0)| on [0, length]."""
     return length * (abs(p[1]) + length * (abs(p[2]) + length * (abs(p[3]) + length * abs(p[4]))))
 
 
@@ -44,8 +44,8 @@ def _most_change(p: Quartic, length: float) -> float:
 def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
-    The zero of p''' cuts p'' into monotone pieces, whose zeros cut p' into such. Where there are fewer than three,
-    those missing repeat the one before, or are 0.
+    The zero of p''' cuts p'' into monotone pieces, and the zeros of p'' cut p' into monotone pieces. Where p' changes
+    sign less than three times, each missing point repeats the one before, or is 0.
     """
     slope = p[1], 2.0 * p[2], 3.0 * p[3], 4.0 * p[4], 0.0
     if abs(slope[0]) > _most_change(slope, length):
@@ -64,7 +64,7 @@ def stationary_points(p: Quartic, length: float) -> tuple[float, float, float]:
 
 @part
 def _sign_change(p: Quartic, low: float, high: float, otherwise: float) -> float:
-    """Zero between two places of a polynomial that is monotone and changes its sign between them."""
+    """The zero between `low` and `high` of p, which is monotone there; `otherwise` if its sign does not change."""
     if high <= low or (evaluate(p, low) < 0.0) == (evaluate(p, high) < 0.0):
         return otherwise
     return bisect(p, low, high)

@@ -1,12 +1,12 @@
 """Fixed-step RK4 with zero-crossing bisection through the regimes of a switched linear system.
 
-On a linear regime a number of full steps is one precomputed matrix product. A stride of 64 is taken where the
-amplitudes of the modes bound how far guards and accelerations can be from their chords over it, and so show that no
-guard can turn negative, and no acceleration exceed its extremes. Else one step, whose product yields each guard's value
-and a bound on how far it bends within the step (`_coast`). Where that does not show it either, and right after every
-event, a step is expanded into its quartics, zeros are located by bisection, and the rest of the step is finished in the
-successor regime, so that the time grid stays at multiples of the step. Where another piece of the load begins, a step
-is cut short, and the grid begins anew.
+In a linear regime a fixed number of full steps is one precomputed matrix product. A stride of 64 steps is taken where
+the amplitudes of the modes bound how far guards and accelerations can be from their chords over it, and so prove that
+no guard turns negative, and no acceleration exceeds its extremes. Elsewhere one step is taken, whose product yields
+each guard's value and a bound on how far the guard bends within the step (`_coast`). Where that bound proves nothing
+either, and right after every event, a step is expanded into its quartics, zeros are located by bisection, and the rest
+of the step is finished in the successor regime, so that the time grid stays at multiples of the step. Where another
+piece of the load begins, a step is cut short, and the grid begins anew.
 """
 
 from typing import NamedTuple
@@ -28,8 +28,8 @@ from clunk.core.sums import combine, copy, weigh
 from clunk.core.switching import begin_run, chooses, is_instant, may_switch, recheck, switch
 from clunk.core.tables import ACCELERATION
 
-_BETWEEN_LOOKS = 256  # full steps, at whether the run is settled, and at the stop flag
-_BEFORE_NEXT_STRIDE = 16  # steps, after one in doubt
+_BETWEEN_LOOKS = 256  # full steps between checks of whether the run is settled, and of the stop flag
+_BEFORE_NEXT_STRIDE = 16  # steps taken one by one after a stride in doubt
 # A remainder of a step shorter than this share of it is merged with the next one: right after an event the guard grows
 # from zero, and needs some time to stand clear of rounding.
 _SHORTEST = 0.01
@@ -40,8 +40,8 @@ class _Grid(NamedTuple):
     """The time grid of a piece of the load: multiples of the step up to the end of the piece, or the end time."""
 
     full: int  # how many full steps there are
-    rest: float  # s, what is left behind them
-    last: int  # steps, that one included
+    rest: float  # s, length of the shorter step behind these
+    last: int  # how many steps there are with the shorter one, if it is longer than rounding
 
 
 @part
@@ -61,14 +61,14 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     """
     x, inputs, load = start.x, room.inputs, start.loads[start.load]
     inputs[:] = 1.0
-    room.z[:] = 0.0  # a run before may have left what is not a number where nothing is written
+    room.z[:] = 0.0  # an earlier run may have left NaN in the padding, which is not written
     entry = Entry(1, start.regime, -1, 0)
     begin, written = 0.0, entry.written
     piece, rolled = begin_run(system, start, inputs, log)
     begin_windows(log, 0)
     grid = _grid_of(system, steps, load, piece)
     index, offset, stages = 0, 0.0, 0  # the time is begin + index · step + offset
-    guard, is_chosen = -1, False  # what ended the phase before, and chose the states of all that rests
+    guard, is_chosen = -1, False  # the guard that ended the last phase, and whether `switching.chooses` for it
     while True:
         time = begin + index * steps.step + offset
         if not is_chosen:
@@ -89,7 +89,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
             length = max(length, 0.0)
             s, guard = first_event(system, entry.regime, room, length, zero_guard, entry.zero_order)
             if length - s < INSTANT and index + spanned >= grid.last and piece + 1 < load.shape[0]:
-                s, guard = length, -1  # what follows tells whether it happens
+                s, guard = length, -1  # the next piece of the load decides whether the event happens
             widen_extremes(system, flow, room, s, extremes)
             if not finish(room, s, x):
                 return Outcome(NON_FINITE, entry.written, 0, begin + index * steps.step + offset)
@@ -145,10 +145,10 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
 
 @part
 def _is_settled(system: System, steps: Steps, regime: int, room: Room, extremes: FloatArray) -> bool:
-    """Whether no event follows, and no acceleration beyond the extremes of the open windows, (L, 2).
+    """Whether no event can follow, and no acceleration beyond the extremes of the open windows, (L, 2).
 
-    Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever. That
-    is proved for whole steps, and within them looked at in eight places.
+    From now on every functional stays within its value in steady motion plus or minus the sum of its modes' present
+    amplitudes. That is proved for whole steps; within a step it is checked in eight places, by `propagator._bounds`.
     """
     flow, reach = system.regimes[regime].flow, room.reach
     if not steps.settles[flow]:
@@ -160,7 +160,7 @@ def _is_settled(system: System, steps: Steps, regime: int, room: Room, extremes:
         at_rest = room.sign[guard] * weigh(steps.rest_functional[flow, functional], room.weighed)
         if not at_rest + room.shift[guard] > (1.0 + 1e-9) * reach[functional]:
             return False
-    for lash in range(0 if system.impulsive else system.lash_count):  # else nothing is asked of the acceleration
+    for lash in range(0 if system.impulsive else system.lash_count):  # impulsive touches have no acceleration
         acceleration = lash * system.functionals_per_lash + ACCELERATION
         at_rest = weigh(steps.rest_functional[flow, acceleration], room.weighed)
         swing = (1.0 + 1e-9) * reach[acceleration]
@@ -171,7 +171,7 @@ def _is_settled(system: System, steps: Steps, regime: int, room: Room, extremes:
 
 @inlined_part
 def _reach(rows: FloatArray, by_mode: FloatArray, room: Room) -> None:
-    """Add to `room.reach` what each mode's present amplitude, of the state `room.z`, does to each functional."""
+    """Add to each functional's `room.reach` the modes' amplitudes in state `room.z`, each times its `by_mode`."""
     modes, reach = room.modes, room.reach
     _advance(rows, room.modes_affine, room.z, modes)
     for m in range(by_mode.shape[1]):
@@ -209,7 +209,7 @@ def _eight(z: FloatArray, b: int) -> _Eight:
 
 @inlined_part
 def _sum_of_eight(transfer: FloatArray, b: int, r: int, x: _Eight) -> float:
-    """Sum of column r of eight rows from row b on, each times a number; in pairs."""
+    """Sum of column r of eight rows from row b on, each times its number of x; added up in pairs."""
     return (
         (transfer[b, r] * x[0] + transfer[b + 1, r] * x[1]) + (transfer[b + 2, r] * x[2] + transfer[b + 3, r] * x[3])
     ) + (
@@ -220,18 +220,18 @@ def _sum_of_eight(transfer: FloatArray, b: int, r: int, x: _Eight) -> float:
 
 @part
 def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, extremes: FloatArray) -> int:
-    """Take up to `budget` full steps, and return how many: it stops before one in which a guard might turn negative.
+    """Take up to `budget` full steps, and return how many: stops before a step in which a guard might turn negative.
 
-    On its way, a functional is beyond its end values by no more than its sag: on a step its bend (see
-    `propagator.BEND`), on a stride what the amplitudes of modes bound. Where a stride is in doubt, or may change
-    extremes, steps go one by one.
+    Within a step or a stride, a functional leaves the range between its end values by its sag at most: for a step, the
+    bend of `propagator.BEND`; for a stride, a bound by the amplitudes of the modes. Where a stride is in doubt, or may
+    change extremes, steps are taken one by one.
 
     extremes : (L, 2) float64  [rad/s2]
-        Of each lash's acceleration, updated, but where touches are impulsive.
+        Of each lash's acceleration; updated, unless touches are impulsive.
     """
     row, z, after, sag = system.regimes[regime], room.z, room.after, room.reach
     columns, taken = steps.transfer.shape[2], 0
-    next_stride = 0 if steps.strides[row.flow] else budget  # not before so many steps
+    next_stride = 0 if steps.strides[row.flow] else budget  # how many steps are taken before a stride is tried
     while taken < budget:
         is_stride = next_stride <= taken <= budget - STRIDE
         if is_stride:
@@ -266,9 +266,9 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
 
 @inlined_part
 def _bound_stride(steps: Steps, flow: int, wave: int, room: Room) -> None:
-    """Set `room.reach` to how far functionals can be from their chords over a stride from `room.z`.
+    """Set `room.reach` to bounds of the distances of functionals from their chords over a stride from `room.z`.
 
-    wave : where in a state the load's begins
+    wave : index in a state of the first number of the load's wave
     """
     ramp, sag, z = steps.ramp_sag[flow], room.reach, room.z
     for which in range(sag.size):
@@ -281,7 +281,7 @@ def _bound_stride(steps: Steps, flow: int, wave: int, room: Room) -> None:
 
 @inlined_part
 def _guards_exceed(room: Room, guards: int, columns: int, z: FloatArray) -> bool:
-    """Whether all guards exceed their sag, in `room.reach`, at one end of a step; not where one is not a number."""
+    """Whether all guards exceed their sag, in `room.reach`, at one end of a step; false where a guard is NaN."""
     for g in range(guards):
         if not room.sign[g] * z[columns + room.at[g]] + room.shift[g] > room.reach[room.at[g] // 4]:
             return False

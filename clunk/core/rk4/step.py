@@ -1,6 +1,6 @@
-"""One step of the grid, or what is left of one, through a regime, with everything in it located.
+"""One step of the time grid, or the rest of one, in a regime: its first event, and the extremes of accelerations.
 
-The step is expanded into its Taylor polynomial of degree 4 in time. Guards and acceleration are then quartics.
+The step is expanded into its Taylor polynomial of degree 4 in time. Guards and accelerations are then quartics.
 """
 
 from typing import NamedTuple
@@ -20,29 +20,29 @@ from clunk.core.tables import ACCELERATION
 
 
 class Room(NamedTuple):
-    """Room for a run: for the phase between two events that it is in, and for what full steps are taken by in that."""
+    """Arrays of a run: for its present phase between two events, and for the full steps in that phase."""
 
     inputs: FloatArray  # (I,)  d of the run
-    # the phase: what its regime makes of the inputs and the guards, and a step's expansion
+    # of the phase: the inputs and guards of its regime, and the expansion of a step
     weighed: FloatArray  # (I,)  u of the regime
-    at: IntArray  # (G,)  where a guard's functional is among the outputs, value and terms 2, 3, 4 of each
-    sign: FloatArray  # (G,)
-    shift: FloatArray  # (G,)
+    at: IntArray  # (G,)  place of a guard's functional among the outputs: value and terms 2, 3, 4 of each functional
+    sign: FloatArray  # (G,)  of each guard
+    shift: FloatArray  # (G,)  of each guard
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
-    # full steps
-    by_inputs: FloatArray  # what the phase's inputs add to these, see `Steps`:
-    affine: FloatArray  # (3, rows)  to no step, one and a stride
+    # of full steps
+    by_inputs: FloatArray  # what the phase's inputs add, see `Steps`; the next three are parts of it, which add
+    affine: FloatArray  # (3, rows)  to a state and its outputs after no step, one and a stride
     modes_affine: FloatArray  # (2 M,)  to coordinates y
-    steady_sag: FloatArray  # (F,)  to the sag of functionals over a stride
+    steady_sag: FloatArray  # (F,)  to the distances of functionals from their chords over a stride, with signs
     z: FloatArray  # (rows,)  the state, padded, and its outputs
-    after: FloatArray  # (rows,)  the same after a step or a stride
-    # scratch of what bounds all that follows
+    after: FloatArray  # (rows,)  state and outputs after a step or a stride
+    # scratch of the bounds on what can follow
     modes: FloatArray  # (2 M,)  coordinates y
-    reach: FloatArray  # (F,)  of functionals, or their sag
+    reach: FloatArray  # (F,)  bound of each functional's change from now on, or of its sag
 
 
 def make_room(system: System, steps: Steps) -> Room:
-    """Room for runs, one after the other."""
+    """Allocate the arrays that runs use one after the other."""
     width, of_modes, by_inputs = steps.transfer.shape[3], steps.mode_rows.shape[2], np.empty(steps.by_inputs.shape[2])
     affine, of_y, sag = np.split(by_inputs, np.cumsum([3 * width, of_modes]))
     most, driven = system.guards.shape[1], system.input_count
@@ -66,7 +66,7 @@ def make_room(system: System, steps: Steps) -> Room:
 
 @part
 def enter(room: Room, system: System, regime: int) -> None:
-    """Begin a phase in a regime."""
+    """Begin a phase in a regime: set its inputs u, and the places, signs and shifts of its guards."""
     set_weighed(system, regime, room.inputs, room.weighed)
     for g in range(system.regimes[regime].guards):
         row = system.guards[regime, g]
@@ -76,7 +76,7 @@ def enter(room: Room, system: System, regime: int) -> None:
 
 @part
 def expand(system: System, flow: int, x: FloatArray, room: Room) -> None:
-    """The step as a polynomial of its length: RK4's own for a linear regime."""
+    """Set `room.taylor` to the polynomial of a step in its length, which is RK4's own in a linear regime."""
     taylor, size = room.taylor, x.size
     copy(x, taylor[0])
     for order in range(1, 5):
@@ -95,11 +95,11 @@ def first_event(
 ) -> tuple[float, int]:
     """Time at which the first of the regime's guards turns negative within `length`, and its number; else (length, -1).
 
-    Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
-    guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides; a
-    negative one within what `rubbing.choose_states` takes for zero, or within an instant of it. So is a positive one
-    where there is more than one element: another one's event may have been located first. One that stays so near to
-    zero all the step does not turn negative.
+    Of the guard that the last event left at zero, with `zero_order` derivatives, these zeros are divided out. Any other
+    guard within rounding of zero counts as zero, and so does its rate, so that the next derivative decides. A negative
+    guard also counts as zero within what `rubbing.choose_states` takes for zero, and within its change in an INSTANT.
+    The latter goes for a positive guard, too, where there is more than one element, as another element's event may have
+    been located first. A guard that falls no lower than these tolerances in all the step does not turn negative.
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
@@ -144,7 +144,7 @@ def finish(room: Room, s: float, x: FloatArray) -> bool:
 
 @part
 def _quartic(system: System, flow: int, which: int, room: Room) -> tuple[quartic.Quartic, float, float]:
-    """A functional over the step: its quartic, and the terms that make the first two of its coefficients in size."""
+    """The quartic of a functional over the step, and the sums of the magnitudes of the terms of c0 and of c1."""
     driven, taylor = weigh(system.feedthrough[flow, which], room.weighed), room.taylor
     c0, c1, c2, c3, c4, scale, of_rate = driven, 0.0, 0.0, 0.0, 0.0, abs(driven), 0.0
     for k in range(taylor.shape[1]):
