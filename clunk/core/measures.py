@@ -1,16 +1,17 @@
-"""Measures of a finished run: what its contact took and bore at each primary impact, and the extremes of channels.
+"""Measures of a finished run: impulse, peak torque and energy of each primary impact, and the extremes of channels.
 
-A walk from event to event over the states that the run has recorded, by the flow of each regime, and on to the end
-time where it was proved that nothing follows. Nothing is searched for but extremes, so the walk is the same whatever
-method made the run. A state that lasts no time does not count.
+They are found by a walk from event to event: from each state that the run has recorded, by the flow of the regime, to
+the next event, and at last to the end time, even where the run ended early because nothing could follow. The walk looks
+for no events, only for extremes, so that it is the same whatever method made the run. A state that lasts no time does
+not count.
 
 An impact reaches from its touch to the lash's next primary impact, or the end time, as for Q_i. In that time the lash
 presses on one flank only, and
 
-    impulse      ∫ τ dt, τ the contact torque, positive where it presses; with what a touch of rigid flanks passes on
+    impulse      ∫ τ dt, τ the contact torque, positive where it presses; and the impulses of touches of rigid flanks
     peak torque  the largest τ; not a number where a touch is impulsive
-    energy       ∫ c q'² dt, and what is left in flanks that part while they overlap less what is found again where such
-                 flanks rejoin; of rigid flanks the kinetic energy that is lost at touches
+    energy       ∫ c q'² dt, and the elastic energy left in flanks that part while they overlap, less what is regained
+                 where such flanks rejoin; of rigid flanks the kinetic energy that is lost at touches
 """
 
 from typing import NamedTuple
@@ -30,38 +31,38 @@ from clunk.core.sums import combine, copy, root_of_squares
 from clunk.core.switching import set_weighed
 from clunk.core.tile import Batch, Cases, Output
 
-_SMOOTH = 1e-10  # of the terms of a series: the last one over a step of which the series tells all
-_PLACES = 16  # of a step, between which the slope of a channel is asked for its sign: some 0.09 of 1/rate apart
-_MOST_STEPS = 1 << 22  # of a run, some 10 s: over a second with what decays within 1e-8 s there are more
-_HALVINGS = 30  # of an interval with a turn: to 1e-9 of it, the value there to the square of that
+_SMOOTH = 1e-10  # share of the terms of a series: where its last terms are smaller over a step, it is accurate there
+_PLACES = 16  # parts of a step, some 0.09 of 1/rate long, at whose ends the sign of a channel's slope is computed
+_MOST_STEPS = 1 << 22  # of a run, some 10 s: a run of 1 s with a mode that decays within 1e-8 s has more
+_HALVINGS = 30  # of an interval with a turn: locate it to 1e-9 of the interval, and its value to the square of that
 _FROM_MIDDLE, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # exact up to degree 23, and to rounding for the square
-_NODES = 0.5 + 0.5 * _FROM_MIDDLE  # of the interval
+_NODES = 0.5 + 0.5 * _FROM_MIDDLE  # as shares of the interval
 
-IMPULSE, PEAK_TORQUE, ENERGY = range(3)  # of an impact; of a run the largest, and roots of summed squares
+IMPULSE, PEAK_TORQUE, ENERGY = range(3)  # of an impact; of a run the largest peak torque, roots of summed squares else
 OF_IMPACTS = 3
 
 
 class Room(NamedTuple):
-    """Scratch of a walk."""
+    """Scratch of a walk over a run, and the values of impacts."""
 
     z: FloatArray  # (Z,)  state and inputs
-    moved: FloatArray  # (2, Z)
+    moved: FloatArray  # (2, Z)  z after a step, or terms of a series for z
     series: FloatArray  # (C, TERMS)  of each channel
     inputs: FloatArray  # (I,)  d
     ranges: FloatArray  # (C, 2)  the least and the largest value of each channel so far
     first: IntArray  # (L + 1,)  the row of each lash's first primary impact
-    row: IntArray  # (L,)  and of its last one so far, the row before that where there is none
+    row: IntArray  # (L,)  the row of each lash's last primary impact so far; `first` - 1 before there is one
     systems: IntArray  # (D, …)  of each driveline, see `references.rows_of`
     of_impacts: FloatArray  # (impacts, OF_IMPACTS)  output
-    steps: IntArray  # (2,)  that are left of the run, and the most
+    steps: IntArray  # (2,)  how many steps are left for the run, and the most of a run
 
 
 def measure_runs(
     batch: Batch, cases: Cases, output: Output, totals: FloatArray, of_impacts: FloatArray, stop: StopFlag
 ) -> None:
-    """Measure the runs of some cells, until `stop` is set; those that failed are not touched.
+    """Measure the runs of some cells, until `stop` is set; the measures of failed runs are left as they are.
 
-    What takes more than `_MOST_STEPS` is not a number.
+    The measures of a run that takes more than `_MOST_STEPS` steps are NaN.
 
     Parameters
     ----------
@@ -70,7 +71,8 @@ def measure_runs(
     cases, output
         As of `tile.run_tile`, with states; in the logs the times behind a run's events are NaN.
     totals : (cells, L, OF_IMPACTS + measures) float64
-        Output, for each lash: roots of the summed squares of its impacts' values, then the measures.
+        Output, for each lash: the root of its impacts' summed squared impulses, their largest peak torque, the root of
+        their summed squared energies, then the measures.
     of_impacts : (impacts, OF_IMPACTS) float64
         Output, zeros before: impulse [N m s], peak torque [N m] and energy [J] of each of the impacts, if
         `channels.of_impacts`.
@@ -164,10 +166,10 @@ def _add_event(
     e: int,
     room: Room,
 ) -> None:
-    """Begin the values of an impact where event e is that, and add what events pass on or take at once.
+    """Begin the values of a new impact where event e is primary, and add the impulse and energy of the event itself.
 
-    An impulse passes through other lashes too. Touches behind one another with one state are one impact of several,
-    added at the last of them.
+    An impulse also passes through other lashes that are closed. Successive touches with one state are one impact of
+    several lashes, added at the last of these touches.
     """
     event, row, first, x = events[e], room.row, room.first, room.z
     lash = event.lash
@@ -202,7 +204,7 @@ def _add_event(
 
 @inlined_part
 def _are_one_impact(events: Records, states: FloatArray, e: int) -> bool:
-    """Whether event e and the one behind it are touches with one state."""
+    """Whether event e and the next one are touches with one state."""
     same = events[e].kind == TOUCH and events[e + 1].kind == TOUCH
     for j in range(states.shape[1]):
         same = same and states[e, j] == states[e + 1, j]
@@ -211,7 +213,7 @@ def _are_one_impact(events: Records, states: FloatArray, e: int) -> bool:
 
 @part
 def _follow(system: System, channels: Channels, driveline: int, regime: int, span: float, room: Room) -> None:
-    """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
+    """Follow the flow of a regime from `room.z` for `span` s, in which neither regime nor piece of the load ends."""
     z, lashes = room.z, system.lash_count
     flow, elapsed = system.regimes[regime].flow, 0.0
     length, rows = channels.lengths[driveline, flow], channels.series[driveline, flow]
@@ -248,15 +250,15 @@ def _follow(system: System, channels: Channels, driveline: int, regime: int, spa
 
 @part
 def _bears(system: System, regime: int, lash: int, room: Room) -> bool:
-    """Whether a lash is closed and has had a primary impact, so that its contact adds to the values of that."""
+    """Whether a lash is closed and has had a primary impact, so that its contact adds to that impact's values."""
     return system.contacts[regime, lash].closed != 0 and room.row[lash] >= room.first[lash]
 
 
 @part
 def _is_smooth(series: FloatArray, share: float) -> bool:
-    """Whether a series tells all of its channel over a share of the shortest step, by its last term of either parity.
+    """Whether a series is accurate over `share` times the shortest step, by its last term of either parity.
 
-    From rest every other term of an undamped motion is zero.
+    One term alone would not do: every other term of an undamped motion from rest is zero.
     """
     reach, before, term, power = 0.0, 0.0, 0.0, 1.0
     for k in range(TERMS):
@@ -267,7 +269,7 @@ def _is_smooth(series: FloatArray, share: float) -> bool:
 
 @part
 def _move_within(rates: FloatArray, share: float, room: Room) -> None:
-    """Move z by a share of a step, by its series."""
+    """Move z by a share of the shortest step, by the Taylor series of the flow."""
     term, following = room.moved[0], room.moved[1]
     copy(room.z, term)
     for k in range(1, TERMS):
@@ -300,7 +302,7 @@ def _slope_at(series: FloatArray, at: float) -> float:
 
 @part
 def _integral(series: FloatArray, length: float, power: int) -> float:
-    """Integral of a polynomial, or of its square as `power` tells, from 0 to `length`."""
+    """Integral from 0 to `length` of a polynomial (`power` is 1) or of its square (2)."""
     total = 0.0
     for n in range(_NODES.size):
         total += _WEIGHTS[n] * _value_at(series, length * _NODES[n]) ** power
@@ -311,8 +313,8 @@ def _integral(series: FloatArray, length: float, power: int) -> float:
 def _widen(series: FloatArray, length: float, ranges: FloatArray) -> None:
     """Widen a range, (2,), by all values of a polynomial from 0 to `length`.
 
-    Turns are where the slope changes its sign from one of _PLACES to the next; of two between the same ones, which are
-    nearly as high as these, nothing is known.
+    A turn is located where the slope has different signs at the ends of one of _PLACES equal parts. Two turns within
+    one part are missed; the values there are nearly those at its ends.
     """
     reach, power = 0.0, 1.0
     for k in range(1, series.size):

@@ -1,4 +1,4 @@
-"""Many runs: one tile of a sweep, on one thread, without the interpreter lock."""
+"""Runs of many cells: one tile of a sweep, on one thread, without the interpreter lock."""
 
 from typing import NamedTuple
 
@@ -23,17 +23,17 @@ from clunk.core.status import EVENT_BUFFER_FULL, INTERRUPTED, OK, QUALITY_UNDECI
 from clunk.core.sums import copy
 
 LONGEST_PATTERN = 62
-EVENTS = 2048  # of a run, that there is room for at first; a run that finds too little is run again,
-MORE = 64  # with so many times as much
-_EVENT_MEMORY = 2_000_000  # events that there is room for at a time: 112 MB, and 32 MB for each lash, if all happen
+EVENTS = 2048  # events of a run for which there is room at first
+MORE = 64  # times as much room, with which a run is repeated that has more events than fit
+_EVENT_MEMORY = 2_000_000  # events of all runs under way: room of 112 MB, and 32 MB for each lash, if all happen
 
 CELL = record_of(
-    # the primaries' flanks as bits behind a leading 1 (opposite: 1); 0 for more than 62, or where the run failed
+    # flanks of the primary impacts as bits behind a leading 1 (opposite: 1); 0 for more than 62, or for a failed run
     pattern="u8",
     severity="f8",  # Q, rad/s2
     approach_velocity="f8",  # V, rad/s
     last_event_time="f8",  # s after the load step, NaN without events
-    margin="f8",  # see clunk.core.exact.margins; NaN where the method knows none
+    margin="f8",  # see clunk.core.exact.margins; NaN by rk4, which computes none
     primary_impacts="i4",
     touches="i4",
     status="u1",
@@ -50,17 +50,17 @@ IMPACT = record_of(
 
 
 class Cases(NamedTuple):
-    """Inputs of cells; of loads and drivelines there is one for each cell, or one for all."""
+    """Inputs of cells; there is one load, and one driveline, for each cell or for all cells."""
 
     before: FloatArray  # (cells, INPUTS + L - 1)  d before the load step  [N m, rad, N m/s, rad]
-    loads: FloatArray  # (cells or 1, P, PIECE)  after it
-    drivelines: IntArray  # (cells or 1,)  which of a batch
-    # where a run does not begin in steady motion in contact
+    loads: FloatArray  # (cells or 1, P, PIECE)  pieces of the load after the load step
+    drivelines: IntArray  # (cells or 1,)  positions of the cells' drivelines in a batch
+    # only of runs that do not begin in steady motion in contact
     states: FloatArray = np.zeros((0, 0))  # (cells or 0, N)  at the load step  [rad, rad/s]
-    regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  in which it is
+    regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  regime at the load step
 
     def at(self, index: Positions | slice) -> "Cases":
-        """The cells at these positions, without `states` and `regimes`: they begin in steady motion."""
+        """Inputs of the cells at some positions, without `states` and `regimes`: their runs begin in steady motion."""
         loads = self.loads if len(self.loads) == 1 else self.loads[index]
         drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
         return Cases(self.before[index], loads, drivelines)
@@ -69,14 +69,15 @@ class Cases(NamedTuple):
 class Output(NamedTuple):
     """Buffers for the results of cells with L lashes, and for their primary impacts.
 
-    Behind each cell's impacts, lash by lash, are those of the next cell. Status and quality are a cell's, alike in all
-    of its lashes.
+    The impacts are in the order of cells, and within a cell lash by lash. Status and quality are those of a cell, the
+    same in all of its lashes.
     """
 
     cells: Records  # (cells, L) CELL, zeros
     impacts: Records  # (capacity,) IMPACT
-    logs: Records  # (cells, capacity) EVENT, behind a run's events as it was; or (0, 0)
-    states: FloatArray  # (cells, capacity, N)  [rad, rad/s]  at these, changes of stage among them; or (0, 0, 0)
+    logs: Records  # (cells, capacity) EVENT, left as it was behind a run's events; or (0, 0), to keep no events
+    # (cells, capacity, N)  [rad, rad/s]  at the events, which then include changes of stage; or (0, 0, 0)
+    states: FloatArray
     extremes: FloatArray = np.zeros((0, 0, 0, 2))  # (cells or 0, capacity, L, 2)  see `runs.Log`
     ends: FloatArray = np.zeros(0)  # (cells or 0,)  s after the load step
 
@@ -88,8 +89,8 @@ class Batch(NamedTuple):
     """
 
     systems: System  # with an axis of D in front of what varies
-    tables: Steps | Flows  # of one driveline; or with an axis of D in front
-    channels: Channels | None = None  # what is measured, if anything is
+    tables: Steps | Flows  # Steps of one driveline, for rk4; or Flows with an axis of D in front
+    channels: Channels | None = None  # the channels of measures, if anything is measured
 
     @property
     def system(self) -> System:
@@ -105,7 +106,7 @@ class Batch(NamedTuple):
 
 
 def capacity_of(events: int, lashes: int) -> int:
-    """Room for the load step, so many events and one switch more, which `switching.may_switch` asks for."""
+    """Capacity of a log for the load step, a number of events, and one switch more, as `switching.may_switch` needs."""
     return events + 3 + 3 * lashes
 
 
@@ -118,7 +119,7 @@ def run_tile(
     output: Output,
     stop: StopFlag,
 ) -> tuple[int, int]:
-    """Run the cells from `first` on, until all are done, `impacts` may not hold the next one's, or `stop` is set.
+    """Run cells from `first` on, until all are done, `impacts` may lack room for the next cell's, or `stop` is set.
 
     Parameters
     ----------
@@ -149,7 +150,7 @@ def run_tile(
     free = np.arange(slots)
     begins, impacts = np.full(left, -1), output.impacts
     done = by_exact(space, undecided, cases, first, max_events, output, x, free, begins, stop)
-    # runs were over in any order: put their impacts in that of the cells
+    # runs end in any order: put their impacts in the order of the cells
     counts = output.cells["primary_impacts"][first:done].sum(axis=1, dtype=np.int64)
     behind = np.cumsum(counts)
     written = counts.sum()
@@ -200,14 +201,14 @@ def by_exact(
     begins: IntArray,
     stop: StopFlag,
 ) -> int:
-    """`run_tile` by the exact method: many runs at a time, over in any order. Returns the first cell that was not run.
+    """`run_tile` by the exact method: many runs at a time. Returns the first cell that was not run.
 
     Parameters
     ----------
     x : (N,) float64
         Scratch, for a state.
     free : (S,) int64
-        The places of the workspace that no run is in: all of them.
+        Scratch, for the slots of the workspace in which there is no run: at first all of them.
     begins : (cells - first,) int64
         Output, where the impacts of each cell from `first` on begin; -1 until the cell is done.
     """
@@ -241,8 +242,8 @@ def by_exact(
             log = log_of(space, slot)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
             primaries = _finish(system_of(space, slot), undecided, outcome, log, max_events, output, k, written)
-            # Room stays free for the oldest, so that every call returns one cell at least. Cells behind one that is not
-            # done are run again by the next call.
+            # Room for impacts stays free for the oldest cell, so that every call finishes one cell at least. Cells
+            # behind a cell that is not done are run again by the next call.
             if written + primaries + (0 if k == oldest else max_events) > output.impacts.size:
                 full = True
                 continue
@@ -254,7 +255,7 @@ def by_exact(
 
 @part
 def _begin(system: System, cases: Cases, k: int, cells: Records, x: FloatArray) -> Start:
-    """Set cell k's state at the load step, and its status, which tells whether it can be run; return its beginning."""
+    """Set `x` to cell k's state at the load step, and the cell's status, OK if it can run; return the run's Start."""
     status, regime = system.status, 0
     if cases.regimes.size > 0:
         status, regime = OK, cases.regimes[k]
@@ -283,11 +284,12 @@ def _finish(
 ) -> int:
     """Write the results of a run to cell k, and its primary impacts from `first` on; return how many they are.
 
-    Those that there is no room for are left out. Its log is copied as far as that is wanted.
+    Impacts for which there is no room are counted, but not written. The log is copied to those of the output's logs,
+    states and extremes that have rows.
 
     Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3; V = sqrt(sum v_i²), v_i = |q'| just
-    before. The window of a primary impact runs from its touch, right limit included, up to the next primary or the end
-    of the run, gap phases included, with the one-sided limits at every event.
+    before the touch. The window of a primary impact reaches from its touch, right limit included, to the next primary
+    impact or the end of the run, gap phases included, with the one-sided limits at every event.
     """
     for i in range(outcome.written if output.logs.size > 0 else 0):
         output.logs[k, i] = log.events[i]
@@ -323,7 +325,7 @@ def _finish(
             while end < outcome.written and not (events[end].lash == lash and events[end].primary):
                 end += 1
             pattern = np.uint64(2) * pattern + np.uint64(event.side != side)
-            # the acceleration of an impulsive touch is not a number
+            # an impulsive touch has no finite acceleration
             severity = log.extremes[end - 1, lash, 0] - log.extremes[end - 1, lash, 1]
             severity = np.nan if system.impulsive else severity
             severities, speeds = severities + severity**2, speeds + event.speed**2
