@@ -156,7 +156,7 @@ def turn_back(system: System, x: FloatArray) -> float:
 
 
 def rolling_apart(system: System, size: int) -> tuple[FloatArray, FloatArray]:
-    """Matrix that subtracts the rolling from all angles and speeds but those of the first inertia that rolls; inverse.
+    """Matrix that subtracts the rolling from angles and speeds but the first rolling inertia's, and its inverse.
 
     size : number of states, N
 

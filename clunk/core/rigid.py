@@ -253,7 +253,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
 
 @part
 def _resting_on(at: Moment, log: Log, regime: int, count: int) -> int:
-    """The regime in which open lashes also count as closed that have not separated, and whose flanks others hold."""
+    """A regime with those open lashes closed whose flanks others hold and whose last event is no separation."""
     system, events = at.system, log.events
     for lash in range(system.lash_count * system.impulsive if system.friction_count > 0 else 0):
         if not system.contacts[regime, lash].closed and rubbing.is_carried(at, regime, lash):
@@ -321,7 +321,7 @@ def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> No
 
 @part
 def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> None:
-    """Make q = `target`, where the state's angles begin at `first`, or q', where its speeds do; as in `_hold`."""
+    """Make q = `target` in the angles (`first` is 0), or q' = `target` in the speeds (`first` is n), for `_hold`."""
     n, row, impulse = system.inertias, system.lashes[lash], system.impulse[held, lash]
     excess = -target
     last = -1

@@ -46,9 +46,9 @@ from clunk.core.tables import (
 )
 
 WITHIN = 1e-11  # share of its terms: a rate of twist, an acceleration or an excess of torque no larger counts as zero
-# s; times the terms of an acceleration they make a rate. With WITHIN, _STARTING_TIME makes a rate that may be rounding,
-# and counts as zero. With _KICK, OF_STEPS makes a rate above the rounding of RK4's states that still counts as zero,
-# and OF_MODES, for the exact method, a rate above the rounding of its slowest modes.
+# Times that make rates of the terms of an acceleration [s]. A share WITHIN of the rate by _STARTING_TIME may be
+# rounding, and counts as zero. A share _KICK of the rate by OF_STEPS is above the rounding of RK4's states, and still
+# counts as zero; of the rate by OF_MODES, for the exact method, it is above the rounding of the slowest modes.
 _STARTING_TIME, OF_STEPS, OF_MODES = 1e-4, 3e-4, 0.1
 # Shares of the size of a rate of twist: the rate given to frictions that begin to slip at one time, or of which
 # rounding decides that they begin; and how near to it all of these rates are brought. Farther apart, rigid flanks of
@@ -59,7 +59,7 @@ _MOST_KICKS = 100  # of each friction: kicks change the rates of the other frict
 
 @inlined_part
 def tolerance_after(phase: float) -> float:
-    """Share of its terms below which a torque or rate counts as zero at an event: `WITHIN`, or 0 after an instant.
+    """Share of its terms up to which a torque or rate is zero at an event: `WITHIN`, or 0 after a phase of no time.
 
     Where a phase is shorter than INSTANT, the states chosen at its beginning within rounding gave way at once, and
     would do so again: signs alone then decide.
@@ -256,7 +256,7 @@ def _misfit_of_flanks(at: Moment, regime: int, before: int, lash: int) -> float:
 
 @part
 def holding_torque(at: Moment, regime: int, lash: int) -> tuple[float, float, float, float]:
-    """The torque that keeps q'' at zero in a regime, the size of its terms; its rate of change, the size of its terms.
+    """The torque that keeps q'' at zero in a regime, the size of its terms, its rate, and the size of the rate's terms.
 
     Returns four numbers  [N m, N m, N m/s, N m/s]. The size of the torque's terms includes that of its rate times the
     time so far: a torque that has fallen to zero has the rounding of what it has fallen by.
@@ -317,7 +317,7 @@ def _rate(system: System, weights: FloatArray, fastest: float, x: FloatArray) ->
     """The rate that is weights (N,) times the state, and its bound by the fastest inertia's speed  [rad/s].
 
     fastest : float  [rad/s]
-        A speed that the bound takes for an inertia's, if all inertias are slower.
+        The least speed that the bound assumes for the fastest inertia.
     """
     value, total = 0.0, 0.0
     for k in range(system.inertias, 2 * system.inertias):
@@ -345,7 +345,7 @@ def gap_coordinate(at: Moment, lash: int) -> tuple[float, float]:
 
 @part
 def _is_held(system: System, regime: int, functional: int) -> bool:
-    """Whether a functional is identically zero in a regime, as other constraints hold what it is of."""
+    """Whether a functional of an element is identically zero in a regime, as others hold the element's twist."""
     flow = system.regimes[regime].flow
     by_state, by_inputs = system.functionals[flow, functional], system.feedthrough[flow, functional]
     # not by `any`: numba's imports scipy's linear algebra
@@ -354,7 +354,7 @@ def _is_held(system: System, regime: int, functional: int) -> bool:
 
 @part
 def is_carried(at: Moment, regime: int, lash: int) -> bool:
-    """Whether the rigid flanks of an open lash rest on each other, held by what sticks or is locked elsewhere."""
+    """Whether the rigid flanks of an open lash rest on each other, held there by other elements that stick or lock."""
     held = _is_held(at.system, regime, lash * at.system.functionals_per_lash + FORCE)
     return at.system.friction_count > 0 and held and rest(at, lash)
 

@@ -244,7 +244,7 @@ def combinations(counts: Sequence[int]) -> list[tuple[int, ...]]:
 
 
 class FlowOf(NamedTuple):
-    """What makes a flow: whether each lash is closed, the stage of each staged shaft, whether each friction sticks."""
+    """Key of a flow: whether each lash is closed, the stage of each staged shaft, and whether each friction sticks."""
 
     closed: tuple[int, ...]
     stages: tuple[int, ...]

@@ -102,7 +102,7 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     steps). Over n steps, c · y is away from its chord by at most n² h²/8 of the bound of its second derivative. RK4's
     second derivative is 1 + z + z²/2 times the exact one at a step's beginning, after a partial step z = λ s; and kinks
     between the quartics of steps add n² h² |h λ|³/96 of the bound. The distance is also at most twice the bound of
-    |c · y|, which is the one of the second derivative over |λ|². Where parts of the driveline are free of each other,
+    |c · y|, that is, the second derivative's bound over |λ|². Where parts of the driveline are free of each other,
     the origin is a parabola in time, and under a ramp a cubic: away from its chord by (n h)²/8 of its second
     derivative. A flow without modes has no such bounds.
 
