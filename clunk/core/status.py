@@ -24,7 +24,7 @@ _SENTENCES = {
     Status.NO_EQUILIBRIUM: (
         "no steady motion: two parts or more can turn by themselves, joined by no stiffness, a friction slips in it, "
         "a stage without stiffness carries a torque in it, or so little resists it that a part would turn faster than "
-        "10⁷ rad/s or by more than 10⁶ rad"
+        "10⁷ rad/s or by more than 10⁶ rad per N m"
     ),
     Status.NO_INITIAL_FLANK: "no initial flank: the lash carries no torque in the steady motion before the load step",
     Status.NON_FINITE: "the state became infinite or undefined",

@@ -16,8 +16,8 @@ from clunk.core.status import NO_EQUILIBRIUM, NO_INITIAL_FLANK, OK
 from clunk.core.sums import copy
 from clunk.core.tables import BEYOND, OPEN, TORQUE
 
-# rad/s and rad, highest speed and largest angle (less the rolling) of a part in steady motion: above these, rounding
-# leaves twists too few digits
+# rad/s and rad/(N m), highest speed of a part in steady motion, and largest angle (less the rolling) for each N m of a
+# load of 1 N m or more: above these, rounding leaves twists too few digits
 _FASTEST, _FARTHEST = 1e7, 1e6
 MOST_STAGES = 100_000  # most changes of stage, and of what sticks, in a run: only a run that never settles has more
 
@@ -55,10 +55,10 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
             closed, presses = closed and contact.closed != 0, presses and contact.side * torque > 0.0
         if not closed or (not presses and status == NO_INITIAL_FLANK):
             continue
-        is_lost = False
+        is_lost, farthest = False, _FARTHEST * max(1.0, abs(inputs[TORQUE]))
         for k in range(x.size):
             x[k] = _of_inputs(system, regime, system.steady_motion[stage, k], inputs)
-            is_lost = is_lost or abs(x[k]) > (_FASTEST if k >= system.inertias else _FARTHEST)
+            is_lost = is_lost or not abs(x[k]) <= (_FASTEST if k >= system.inertias else farthest)
         is_in_stage, is_beside_loose = _is_in_stage(system, regime, x)
         if not is_in_stage:
             continue

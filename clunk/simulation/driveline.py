@@ -240,8 +240,8 @@ def explained(study: Study, status: Status) -> str:
         if all(shaft.stiffness.all() for _, shaft in driveline.staged):
             return (
                 "no steady motion before the load step: so little resists it that a part would turn faster than 10⁷ "
-                "rad/s, or by more than 10⁶ rad; give a bearing more damping, a spring more stiffness or, where gear "
-                "ratios along a loop all but fit, these more digits"
+                "rad/s, or by more than 10⁶ rad per N m; give a bearing more damping, a spring more stiffness or, "
+                "where gear ratios along a loop all but fit, these more digits"
             )
         return (
             "no steady motion before the load step that is the only one: a staged shaft carries a torque at which a "
