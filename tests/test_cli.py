@@ -85,6 +85,17 @@ def test_a_results_file_stands_for_its_config(command, small):
     assert "is what the command reads" in err
 
 
+@pytest.mark.parametrize("words", [("simulate",), ("thresholds", "--along", "lash.backlash_deg")])
+def test_the_trace_of_the_load_is_what_a_command_reads(command, here, words):
+    trace = "time,torque\n0,-1\n0.1,0.5\n0.2,1\n"
+    (here / "trace.csv").write_text(trace)
+    load = '[load]\nprofile = "table"\nfile = "trace.csv"\n'
+    (here / "rig.toml").write_text(EXACT + load + axis("lash.backlash_deg", 0.0, 20.0, 5))
+    code, _, err = command(words[0], "rig.toml", *words[1:], "-o", f"../{here.name}/trace.csv")
+    assert (code, (here / "trace.csv").read_text()) == (2, trace)
+    assert "trace.csv is what the command reads" in err
+
+
 @pytest.mark.parametrize(
     "words", [("sweep", "small.toml", "-o"), ("info",), ("plot",), ("init",), ("simulate", "small.toml", "-o")]
 )

@@ -67,7 +67,7 @@ def fit(
     from clunk.study.study import to_toml
 
     files.check(picture, files.PICTURES)
-    files.check(fitted_config, (".toml",), reads=config)
+    files.check(fitted_config, (".toml",))
     terminal.warn(study)
     fitted = clunk.fit(study, measurements, progress=True, **options)
     tables.tell(fitted, as_json)
@@ -118,8 +118,8 @@ def optimize(
     if output is not None and traded:
         targets = [output.with_stem(f"{output.stem}-{k}") for k in range(1, optimisation.FRONT + 1)]
     for target in targets:
-        files.check(target, (".toml",), reads=config)
-    files.check(picture, files.PICTURES, reads=config)
+        files.check(target, (".toml",))
+    files.check(picture, files.PICTURES)
     terminal.warn(study)
     options["progress"] = True
     # run before the search, so that a config that cannot be run as it is fails at once
@@ -193,7 +193,7 @@ def sensitivity(
     from clunk.results import files
     from clunk.study.study import replace_values
 
-    files.check(output, files.PICTURES, reads=config)
+    files.check(output, files.PICTURES)
     point = sobol.operating_point(replace_values(study, cell_values(study, at, all_needed=False)))
     terminal.warn(point)
     result = sobol.sensitivity(point, of=quantities, progress=True, **options)
@@ -278,7 +278,7 @@ def thresholds(
     shares = quantiles or (0.5, 0.95)
     analysis.check_quantiles(shares)
     is_picture = output is not None and output.suffix.lower() in files.PICTURES
-    files.check(output, (".csv", ".json", *files.PICTURES), reads=config)
+    files.check(output, (".csv", ".json", *files.PICTURES))
     if is_picture:
         from clunk.plot import analyses as plot
 

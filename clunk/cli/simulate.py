@@ -80,7 +80,7 @@ def simulate(
         raise click.UsageError("--figure needs -o, the file to draw.")
     studies = _studies_to_simulate(source, overrides, at, overlay)
     if output is not None:
-        files.check(output, (*files.PICTURES, ".csv"), reads=source)
+        files.check(output, (*files.PICTURES, ".csv"))
         if len(studies) > 1 and (output.suffix.lower() == ".csv" or figure == "small-gap"):
             raise click.UsageError(f"{output} takes one run; leave --overlay out, or draw another --figure.")
     if note := compiling_note(*(study for _, study in studies)):

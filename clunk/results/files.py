@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from clunk.study.document import FilePath
+from clunk.study.document import READ, FilePath
 from clunk.study.errors import ClunkError
 
 
@@ -69,12 +69,12 @@ RESULTS = (".h5",)
 def check(target: Path | None, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
     """Check, before a command runs, that it can write to a file; make missing parent directories.
 
-    Raises ClunkError where the target is a directory, has another suffix or is the file that the command reads, or
-    where no file can be created in its directory.
+    Raises ClunkError where the target is a directory, has another suffix, is the file that the command reads or a text
+    file that this process has read, such as the trace of the load, or where no file can be created in its directory.
 
     target : None where no file is to be written
     suffixes : allowed suffixes, in lower case
-    reads : file that the command reads
+    reads : results file that the command reads
     """
     if target is None:
         return
@@ -82,7 +82,7 @@ def check(target: Path | None, suffixes: Sequence[str], *, reads: Path | None = 
         raise ClunkError(f"{target} is a directory; name a file in it.")
     if target.suffix.lower() not in suffixes:
         raise ClunkError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
-    if reads is not None and target.resolve() == reads.resolve():
+    if target.resolve() in (READ if reads is None else {*READ, reads.resolve()}):
         raise ClunkError(f"{target} is what the command reads; write to another file.")
     with writing(target), tempfile.TemporaryFile(dir=target.parent):
         pass

@@ -21,6 +21,9 @@ Place = tuple[str | int, ...]
 FilePath = str | PathLike[str]
 Document = dict[str, Any]  # tables of a config, as TOML has them
 
+READ: set[Path] = set()
+"""Text files that this process has read: configs, traces and measurements, in whose place no command writes."""
+
 _LARGEST_FILE = 64 * 2**20  # bytes; a device or a results file must not fill the memory before it is refused
 _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the stack
 _SEGMENT = re.compile(r"([A-Za-z0-9_-]+)((?:\[[^\[\]]+\])*)")
@@ -42,6 +45,7 @@ def read_text(path: FilePath, noun: str = "a config", form: str = "a TOML file",
     try:
         with Path(path).open("rb") as file:
             data = file.read(_LARGEST_FILE + 1)
+        READ.add(Path(path).resolve())
     except FileNotFoundError:
         known = nearest_file(Path(path), ".toml", "configs") or "." if known is None else known
         raise _refusal(f"{path} does not exist{known}") from None
