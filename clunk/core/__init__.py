@@ -26,9 +26,9 @@ step, with every event and extreme in it located), `propagator` (full steps as m
 
 `exact`: `run` (a run, and what it does at an event), `step` (propose a span, prove it, or find the event), `search`
 (extremes and turns within a step), `margins` (how near a run came to another label), `curves` (functionals and their
-bounds), `moving` (modal coordinates advanced in time), `taylor` (series over the shortest span), `flows` (the tables of
-modes), `functionals` (functionals by these tables: of one driveline, or of a driveline for each lane), `rows` and
-`workspace` (a run's numbers).
+bounds), `moving` (modal coordinates advanced in time), `taylor` (series over the shortest span), `modes` (of a flow:
+energy coordinates and eigenvectors), `flows` (their tables), `functionals` (functionals by these tables: of one
+driveline, or of a driveline for each lane), `rows` and `workspace` (a run's numbers).
 
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
 

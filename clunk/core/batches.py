@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from clunk.core.arrays import IntArray
+from clunk.core.arrays import Array, IntArray
 
 
 class UnlikeError(Exception):
@@ -19,7 +18,7 @@ class UnlikeError(Exception):
         self.parts = parts
 
 
-def alike(patterns: Any, dimensions: int = 1) -> npt.NDArray[Any]:
+def alike(patterns: Any, dimensions: int = 1) -> Array:
     """The pattern of one driveline, an array of `dimensions` axes, or the one that all drivelines of a batch share.
 
     Raises UnlikeError where the patterns of a batch, with one more axis in front, differ.

@@ -50,7 +50,8 @@ def steady_motion(
     Raises
     ------
     UnlikeError
-        Where a driveline of a batch is held by no more than rounding: its angles are NaN when it is alone.
+        Where a driveline of a batch is held by no more than rounding. When it is alone, its angles are NaN, and its
+        torques are 1, so that flanks seem to press: what it lacks is a steady motion.
     """
     *batch, n, driven = torques.shape
     scale = _largest(stiffness)
@@ -62,19 +63,16 @@ def steady_motion(
     matrix[..., of_lashes, of_lashes] = -(scale[..., 0] ** 2) * compliance
     right = np.zeros((*batch, size, driven))
     right[..., :n, :], right[..., of_lashes, :] = torques, scale * gaps
-    is_held = True
     try:
         solution = np.linalg.solve(matrix, right)
-    except np.linalg.LinAlgError:  # held by no more than rounding, as by gear ratios along a loop that all but fit
+    except np.linalg.LinAlgError:  # as by gear ratios along a loop that all but fit
         if batch and len(matrix) > 1:
             raise UnlikeError(np.array_split(np.arange(len(matrix)), 2)) from None
-        is_held = False
-        matrix[..., :n, :n] += _ROUNDING * scale * np.eye(n)
-        solution = np.linalg.solve(matrix, right)
+        return np.full((*batch, n, driven), np.nan), np.ones((*batch, *gaps.shape))
     solution += np.linalg.solve(matrix, right - matrix @ solution)  # iterative refinement, one step
     across = scale * solution[..., of_lashes, :]
     across[abs(across) <= _ROUNDING * np.where(gaps.any(axis=0), scale, 1.0)] = 0.0
-    return solution[..., :n, :] if is_held else np.full((*batch, n, driven), np.nan), across
+    return solution[..., :n, :], across
 
 
 def _largest(matrices: FloatArray) -> FloatArray:

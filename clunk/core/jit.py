@@ -37,8 +37,7 @@ def _configure() -> None:
 
 
 def _digest() -> str:
-    core = Path(__file__).parent
-    sources = sorted(core.rglob("*.py"))
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
     joined = b"\0".join(str(source).encode() + b"\0" + source.read_bytes() for source in sources)
     return hashlib.sha256(joined).hexdigest()[:16]
 

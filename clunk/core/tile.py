@@ -99,10 +99,10 @@ class Batch(NamedTuple):
 
     def at(self, drivelines: Positions | list[int]) -> "Batch":
         """The batch of some of the drivelines."""
-        tables, channels = self.tables, self.channels
+        tables = self.tables
         if isinstance(tables, Flows):
             tables = Flows._make(table[drivelines] for table in tables)
-        return Batch(driveline_at(self.systems, drivelines), tables, channels and channels.at(drivelines))
+        return Batch(driveline_at(self.systems, drivelines), tables, self.channels and self.channels.at(drivelines))
 
 
 def capacity_of(events: int, lashes: int) -> int:

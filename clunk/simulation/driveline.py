@@ -12,7 +12,8 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray
 from clunk.core.batches import alike
-from clunk.core.exact.flows import Chain, Flows, build_flows
+from clunk.core.exact.flows import Flows, build_flows
+from clunk.core.exact.modes import Chain
 from clunk.core.reductions import chain, constrained, locked, product
 from clunk.core.regimes import LOCKING_SHARE, RigidMotion, System, build_system, driveline_at, rolling_apart
 from clunk.core.status import Status

@@ -1,11 +1,11 @@
 """Array types, named after their contents."""
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core.arrays import (
+    Array as Array,
+    Bools as Bools,
     FloatArray,
     IntArray,
     Positions as Positions,
@@ -14,8 +14,6 @@ from clunk.core.arrays import (
     record_of as record_of,
 )
 
-Array = npt.NDArray[Any]
-Bools = npt.NDArray[np.bool_]
 Integers = IntArray
 Cells = Integers  # numbers of cells in C order
 Codes = Integers  # codes of labels and of other outcomes

@@ -199,7 +199,7 @@ for _sign, _operator in (
     _binary((_operator,), types.int64, _comparison(_sign))
 
 
-@overload(operator.neg, strict=False)  # the two functions may be annotated differently
+@overload(operator.neg)
 def _negated(a):
     return (lambda a: a * -1.0) if a == _LANES else None
 
