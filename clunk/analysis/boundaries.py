@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.lines import CHORD, TOUCHES, Lines, Triangles
+from clunk.analysis.lines import CHORD, TOUCHES, Lines
 from clunk.analysis.network import SAME, Path, Ring, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.search import POINT, PointRuns, check_axis, grid_axes, in_halves
+from clunk.analysis.triangles import Triangles
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.status import Status
 from clunk.results.boundaries import (

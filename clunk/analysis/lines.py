@@ -1,8 +1,8 @@
 """Tracing the lines between the labels of a map of two axes, by batches of runs.
 
-The cells of the map are cut into triangles. On each edge whose two nodes have different labels a crossing is located
-(`clunk.analysis.search`). As lines are smooth, known lines are continued to the edge where that is possible
-(`Crossings`), and two runs then locate the crossing.
+The cells of the map are cut into triangles (`clunk.analysis.triangles`). On each edge whose two nodes have different
+labels a crossing is located (`clunk.analysis.search`). As lines are smooth, known lines are continued to the edge where
+that is possible (`Crossings`), and two runs then locate the crossing.
 
 A line that is not known well enough is refined by one operation, a node on an edge: between two crossings of the same
 edge; on the far edge of a triangle whose line is further from its chord than `CHORD`, or which nodes on its other edges
@@ -26,8 +26,9 @@ from collections.abc import Callable
 import numpy as np
 
 from clunk.analysis.search import OFF_FAILURES, POINT, TOLERANCE, Points, narrow, with_hidden
+from clunk.analysis.triangles import Triangles, cross, edges_of, ends_of, following, height_of, keys_of, length_of
 from clunk.results.labels import FAILED_CODE
-from clunk.study.arrays import Array, Bools, Codes, Floats, Nodes
+from clunk.study.arrays import Bools, Codes, Floats, Nodes
 
 # Lengths of the map are those of its axes scaled from 0 to 1.
 CHORD = 1.3e-4  # of the map, the greatest distance of a line from its chord
@@ -49,7 +50,6 @@ _POINTS, _NEIGHBOURS = 4, 8  # crossings through which a line is continued, and 
 _REACH = 15.0  # lengths of the edge to which a line is continued, the distance within which they lie
 _OFF = 0.15  # of the change by the last of these crossings, the error of the expected place
 _OTHERS = 10.0  # maps, the distance put between crossings of different labels so that the nearest ones are of the same
-_SHIFT = 32  # bits of a node's number in an edge's key
 
 
 def most_runs(cells: int, cost: int) -> int:
@@ -64,117 +64,6 @@ def most_runs(cells: int, cost: int) -> int:
 def _cost_of(runs: Points) -> int:
     """Cost of runs: the number of runs without touches that take as long."""
     return runs.size + runs["touches"].sum() // TOUCHES
-
-
-def keys_of(first: Nodes, second: Nodes) -> Codes:
-    """Keys of the edges between pairs of nodes, whichever of the two comes first."""
-    return (np.minimum(first, second) << _SHIFT) | np.maximum(first, second)
-
-
-def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
-    """The two nodes of each edge of these keys, the smaller number first."""
-    return keys >> _SHIFT, keys & ((1 << _SHIFT) - 1)
-
-
-def _following(corners: Array) -> Array:
-    """The next entry after each one in rows, (n, m, …), such as corners of triangles; after the last, the first."""
-    return np.roll(corners, -1, axis=1)
-
-
-def _edges(corners: Nodes) -> Codes:
-    """Keys of the edges from each node to the next in its row, and from the last to the first, (n, m)."""
-    return keys_of(corners, _following(corners))
-
-
-def cross(one: Floats, other: Floats) -> Floats:
-    """Cross products of vectors, (..., 2) each."""
-    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
-
-
-def _length(vectors: Floats) -> Floats:
-    return np.hypot(vectors[..., 0], vectors[..., 1])
-
-
-def _height(corners: Floats) -> Floats:
-    """The least height of each triangle, (n,), by the positions of the corners, (n, 3, 2)."""
-    sides = _following(corners) - corners
-    return abs(cross(sides[:, 0], sides[:, 1])) / _length(sides).max(axis=1)
-
-
-def _append(rows: Array, more: Array) -> None:
-    """Append rows to an array in place; no other array may be a view of it.
-
-    Nodes are added a few at a time: to copy all rows of a large map each time takes a fifth of the time of tracing it.
-    """
-    count = len(rows)
-    rows.resize((count + len(more), *rows.shape[1:]), refcheck=False)
-    rows[count:] = more
-
-
-class Triangles:
-    """Triangles of a map: two in each cell, which are halved where nodes are added on their edges.
-
-    positions, runs : of the nodes, (nodes, 2) float64, on each axis from 0 to 1, and (nodes,) POINT; the nodes of the
-        map come first, in C order
-    corners : (n, 3) nodes, anticlockwise
-    is_new : (n,) whether a triangle was added since this was last cleared
-    """
-
-    def __init__(self, across: Floats, upward: Floats, runs: Points) -> None:
-        self.positions = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2).copy()
-        self.runs = runs.flatten()
-        self.nodes = np.arange(runs.size).reshape(runs.shape)  # numbers of the map's nodes, in its shape
-        a, b, c, d = self.nodes[:-1, :-1], self.nodes[1:, :-1], self.nodes[1:, 1:], self.nodes[:-1, 1:]
-        self.corners = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3).copy()
-        self.is_new = np.ones(len(self.corners), bool)
-
-    @property
-    def outcome(self) -> Codes:
-        """Code of each node's label, (nodes,)."""
-        return self.runs["outcome"]
-
-    def mixed(self, *, only_new: bool = False) -> tuple[Nodes, Nodes]:
-        """Triangles of two labels, the corner of the single label first, and triangles of three: (n, 3) nodes each."""
-        corners = self.corners[self.is_new] if only_new else self.corners
-        one, other, third = self.outcome[corners].T
-        corners = corners[(one != other) | (other != third)]  # few of the triangles of a large map
-        labels = self.outcome[corners]
-        alike = labels == _following(labels)
-        two = alike.any(axis=1)
-        turns = (alike[two].argmax(axis=1)[:, None] + [2, 3, 4]) % 3
-        return np.take_along_axis(corners[two], turns, 1), corners[~two]
-
-    def add(self, keys: Codes, positions: Floats, runs: Points) -> None:
-        """Add a node on each edge of these keys, of which none comes twice, and halve the triangles there."""
-        order = keys.argsort()
-        nodes = len(self.runs) + order
-        _append(self.positions, positions)
-        _append(self.runs, runs)
-        is_end = np.zeros(len(self.runs), bool)
-        is_end[np.concatenate(ends_of(keys))] = True
-        one, other, third = is_end[self.corners].T
-        near = np.flatnonzero(one & other | other & third | third & one)
-        while near.size:
-            near = self._halve(near, keys[order], nodes)
-
-    def _halve(self, near: Nodes, keys: Codes, nodes: Nodes) -> Nodes:
-        """Halve each triangle that has one of some nodes on an edge, at that node; returns the numbers of all halves.
-
-        near : numbers of the triangles
-        keys, nodes : edges, ascending, and the node on each
-        """
-        corners = self.corners[near]
-        edges = _edges(corners)
-        at = np.minimum(keys.searchsorted(edges), keys.size - 1)
-        is_cut = keys[at] == edges
-        cut = np.flatnonzero(is_cut.any(axis=1))
-        turns = is_cut[cut].argmax(axis=1)
-        first, second, last = np.take_along_axis(corners[cut], (turns[:, None] + [0, 1, 2]) % 3, 1).T
-        middle, begin = nodes[at[cut, turns]], len(self.corners)
-        self.corners[near[cut]], self.is_new[near[cut]] = np.stack([first, middle, last], 1), True
-        _append(self.corners, np.stack([middle, second, last], 1))
-        _append(self.is_new, np.ones(cut.size, bool))
-        return np.concatenate([near[cut], np.arange(begin, len(self.corners))])
 
 
 class Crossings:
@@ -204,15 +93,15 @@ class Crossings:
         if len(self._places) < _NEIGHBOURS:
             return shares
         distance, at = self._tree.query(np.column_stack([begin + 0.5 * way, _OTHERS * sides]), _NEIGHBOURS)
-        places, length = self._places[at], _length(way)[:, None]
+        places, length = self._places[at], length_of(way)[:, None]
         is_near = (distance < _REACH * length) & ((self._ways[at] * way[:, None]).sum(axis=2) > 0.0)
-        is_near &= (_length(places[:, :, None] - but[:, None]) > _NEAR).all(axis=2)
+        is_near &= (length_of(places[:, :, None] - but[:, None]) > _NEAR).all(axis=2)
         rows = np.flatnonzero(is_near.sum(axis=1) >= _POINTS)
         places, way = places[rows] - begin[rows, None], way[rows, None] / length[rows, None] ** 2
         apart, points = np.where(is_near[rows], 1.0, -np.inf), np.empty((len(rows), _POINTS, 2))
         for k in range(_POINTS):  # each as far as possible from those before it
             points[:, k] = places[np.arange(len(rows)), apart.argmax(axis=1)]
-            apart = np.minimum(apart, _length(places - points[:, k, None]))
+            apart = np.minimum(apart, length_of(places - points[:, k, None]))
         off, along = cross(way, points), (way * points).sum(axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):
             for k in range(1, _POINTS):  # Neville's scheme
@@ -252,13 +141,13 @@ class Lines:
     def trace(self) -> None:
         """Locate crossings on edges and add nodes until all lines are known well enough or the runs are used up."""
         for nodes in (self.triangles.nodes, self.triangles.nodes.T):
-            self._find_hidden(_edges(nodes), self.triangles.positions[nodes], self.triangles.runs[nodes])
+            self._find_hidden(edges_of(nodes), self.triangles.positions[nodes], self.triangles.runs[nodes])
         self._follow()
         self._find_beside_crossings()
         self._follow()
         self._rounds = max(self._rounds, _MOST_ROUNDS - _LAST_ROUNDS)
         self._asks_flat = True
-        self.triangles.is_new[:] = _height(self.triangles.positions[self.triangles.corners]) <= CHORD
+        self.triangles.is_new[:] = height_of(self.triangles.positions[self.triangles.corners]) <= CHORD
         self._refine()
         self._follow()
         self._sharpen()
@@ -271,7 +160,7 @@ class Lines:
             for cut in self._cuts:
                 self.triangles.add(*cut)
             new = self.triangles.corners[self.triangles.is_new]
-            self._thin = np.union1d(self._thin, _edges(new[_height(self.triangles.positions[new]) <= _THIN]))
+            self._thin = np.union1d(self._thin, edges_of(new[height_of(self.triangles.positions[new]) <= _THIN]))
             self._cuts, self._rounds = [], self._rounds + 1
             self._locate()
             self._refine()
@@ -282,10 +171,10 @@ class Lines:
         A node is here the key of an edge with a crossing, or -1 minus the number of a triple point.
         """
         two, three = self.triangles.mixed()
-        self.met = self.position(_edges(three).ravel()).reshape(-1, 3, 2).mean(axis=1)
+        self.met = self.position(edges_of(three).ravel()).reshape(-1, 3, 2).mean(axis=1)
         self.met_labels = self.triangles.outcome[three]
         from_junction = np.repeat(-1 - np.arange(len(three)), 3)
-        sides = np.stack([_following(three), three], axis=2).reshape(-1, 2)
+        sides = np.stack([following(three), three], axis=2).reshape(-1, 2)
         nodes = [keys_of(two[:, :1], two[:, 1:]), np.column_stack([from_junction, keys_of(*sides.T)])]
         return np.concatenate(nodes), self.triangles.outcome[np.concatenate([two[:, :2], sides])]
 
@@ -305,7 +194,7 @@ class Lines:
         return self.brackets[self.keys.searchsorted(keys)].swapaxes(0, 1)
 
     def _widths(self) -> Floats:
-        return _length(self.brackets[:, 1] - self.brackets[:, 0])
+        return length_of(self.brackets[:, 1] - self.brackets[:, 0])
 
     def position(self, nodes: Codes) -> Floats:
         """Positions of nodes as `segments` numbers them, (n, 2)."""
@@ -321,8 +210,8 @@ class Lines:
         places, runs : positions (n, m, 2) of points in rows along straight lines, in their order, and (n, m) POINT
         """
         begin, way = places[:, 0], places[:, -1] - places[:, 0]
-        way /= _length(way)[:, None]
-        runs["cell"], runs["value"] = np.arange(len(runs))[:, None], _length(places - begin[:, None])
+        way /= length_of(way)[:, None]
+        runs["cell"], runs["value"] = np.arange(len(runs))[:, None], length_of(places - begin[:, None])
 
         def place(lines: Codes, values: Floats) -> Floats:
             return begin[lines] + values[:, None] * way[lines]
@@ -345,7 +234,7 @@ class Lines:
 
     def _mixed_edges(self, *, only_new: bool = False) -> Codes:
         """Keys of the edges whose ends have different labels, ascending."""
-        keys = np.unique(_edges(np.concatenate(self.triangles.mixed(only_new=only_new))))
+        keys = np.unique(edges_of(np.concatenate(self.triangles.mixed(only_new=only_new))))
         first, second = ends_of(keys)
         return keys[self.triangles.outcome[first] != self.triangles.outcome[second]]
 
@@ -392,8 +281,8 @@ class Lines:
         first, second = ends_of(keys)
         begin = self.triangles.positions[first]
         way = self.triangles.positions[second] - begin
-        length = _length(way)
-        runs["cell"], runs["value"] = np.arange(keys.size)[:, None], _length(brackets - begin[:, None])
+        length = length_of(way)
+        runs["cell"], runs["value"] = np.arange(keys.size)[:, None], length_of(brackets - begin[:, None])
         known = self._widths() <= 2.0 * tolerance
         lines = Crossings(self.brackets[known], self.runs["outcome"][known])
 
@@ -436,12 +325,12 @@ class Lines:
         is_located, three = self._is_located(two), three[self._is_located(three)]
         several, two = two[~is_located], two[is_located]
         tip, begin, end = positions[several.T]
-        far, length = end - begin, _length(end - begin)
+        far, length = end - begin, length_of(end - begin)
         is_flat = (length > CHORD) & (abs(cross(begin - tip, far)) < _FLAT * length**2)
         off, places = self._off_chord(two)
         off, places = np.concatenate([off, several[is_flat]]), np.concatenate([places, 0.5 * (begin + end)[is_flat]])
-        sides = np.stack([three, _following(three)], axis=2)
-        lengths = _length(np.diff(positions[sides], axis=2)[:, :, 0])
+        sides = np.stack([three, following(three)], axis=2)
+        lengths = length_of(np.diff(positions[sides], axis=2)[:, :, 0])
         is_large = lengths.max(axis=1, initial=0.0) > JUNCTION
         three = three[is_large]
         if not len(off) + len(three):
@@ -452,7 +341,7 @@ class Lines:
         long = sides[is_large][lengths[is_large] > _LONG * lengths[is_large].max(axis=1, keepdims=True)]
         crossing = self.position(keys_of(*long.T))
         away = positions[long] - crossing[:, None]
-        to_far_end = away[np.arange(len(long)), _length(away).argmax(axis=1)]
+        to_far_end = away[np.arange(len(long)), length_of(away).argmax(axis=1)]
         places = np.concatenate([places, crossing + _BESIDE * to_far_end])
         keys, at = np.unique(keys_of(*np.concatenate([off[:, 1:], long]).T), return_index=True)
         is_thin = np.isin(keys, self._thin)
@@ -464,7 +353,7 @@ class Lines:
     def _is_located(self, corners: Nodes) -> Bools:
         """Whether every edge of a triangle that joins two labels has a located crossing, (n,), by corners (n, 3)."""
         labels = self.triangles.outcome[corners]
-        return ((labels == _following(labels)) | np.isin(_edges(corners), self.keys)).all(axis=1)
+        return ((labels == following(labels)) | np.isin(edges_of(corners), self.keys)).all(axis=1)
 
     def _off_chord(self, corners: Nodes) -> tuple[Nodes, Floats]:
         """Triangles whose line may be off its chord by `CHORD`, with the edge to cut last, and where to cut it, (n, 2).
@@ -481,18 +370,18 @@ class Lines:
         positions, labels = self.triangles.positions[corners], self.triangles.outcome[corners[:, :2]]
         # beside failed runs crossings are located less precisely, see `narrow`
         limit = np.where((labels == FAILED_CODE).any(axis=1), OFF_FAILURES, CHORD)
-        is_asked = (_length(ends[:, 1] - ends[:, 0]) > limit) & ((_height(positions) > limit) | self._asks_flat)
+        is_asked = (length_of(ends[:, 1] - ends[:, 0]) > limit) & ((height_of(positions) > limit) | self._asks_flat)
         corners, ends, labels, limit = corners[is_asked], ends[is_asked], labels[is_asked], limit[is_asked, None]
         positions = positions[is_asked]
         places = positions[:, 1:].mean(axis=1)
         if not len(corners) or not self._may_run():
             return corners, places
-        chord, middle, sides = ends[:, 1] - ends[:, 0], ends.mean(axis=1), _following(positions) - positions
-        back = chord[:, ::-1] * [1.0, -1.0] / _length(chord)[:, None]  # unit vector away from the corner listed first
-        way = back * _length(sides).max(axis=1, keepdims=True)
+        chord, middle, sides = ends[:, 1] - ends[:, 0], ends.mean(axis=1), following(positions) - positions
+        back = chord[:, ::-1] * [1.0, -1.0] / length_of(chord)[:, None]  # unit vector away from the corner listed first
+        way = back * length_of(sides).max(axis=1, keepdims=True)
         lines = Crossings(self.brackets, self.runs["outcome"])
         expected, error = lines.continued(middle - 0.5 * way, way, labels, ends).T
-        is_near = (abs(expected - 0.5) + error) * _length(way) < 0.5 * CHORD
+        is_near = (abs(expected - 0.5) + error) * length_of(way) < 0.5 * CHORD
         # positive where the way ahead, toward that corner, or back comes nearer to a side
         leaves = cross(sides, back[:, None])[:, None] * [[1.0], [-1.0]]
         inside = cross(sides, middle[:, None] - positions)[:, None]
@@ -513,7 +402,7 @@ class Lines:
         if self._asks_flat:
             corners = np.take_along_axis(corners, (begins[asked, side, None] + [2, 0, 1]) % 3, 1)
             begin, end = self.triangles.positions[corners[:, 1:]].swapaxes(0, 1)
-            along, length = end - begin, _length(end - begin)
+            along, length = end - begin, length_of(end - begin)
             share = ((at_ends[off, side] - begin) * along).sum(axis=1) / length**2
             share[abs(share - 0.5) * length > 0.5 * length - RESOLUTION] = 0.5  # rather than at a node or beyond it
             places = begin + share[:, None] * along
@@ -526,4 +415,4 @@ class Lines:
         far = _LOCATED if self._may_run(_ON_EDGES) else CHORD
         fails = (self.runs["outcome"] == FAILED_CODE).any(axis=1)  # located less precisely, see `narrow`
         wide = self.keys[self._widths() > np.where(fails, OFF_FAILURES, far)]
-        return mixed[np.isin(_edges(mixed), wide).any(axis=1)]
+        return mixed[np.isin(edges_of(mixed), wide).any(axis=1)]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.analysis.lines import cross
+from clunk.analysis.triangles import cross
 from clunk.results.boundaries import NO_LABEL
 from clunk.study.arrays import Codes, Floats, LabelCodes
 

@@ -17,7 +17,7 @@ from clunk.core.arrays import (
 Integers = IntArray
 Cells = Integers  # numbers of cells in C order
 Codes = Integers  # codes of labels and of other outcomes
-Nodes = Integers  # numbers of nodes, see `clunk.analysis.lines`
+Nodes = Integers  # numbers of nodes, see `clunk.analysis.triangles`
 Counts = npt.NDArray[np.int32]
 Flanks = npt.NDArray[np.int8]  # +1 opposite, -1 initial, 0 none
 Floats = FloatArray
