@@ -151,8 +151,7 @@ def write(path: FilePath, dataset: Dataset, scratch: Path | None = None) -> None
         )
         for name in dataset.variables:
             _create(file, name, dataset)
-    content = image.getbuffer()
-    with writing(path) as target:
+    with writing(path) as target, image.getbuffer() as content:
         write_whole(target, lambda stream: stream.writelines([content, _trailer(content)]), scratch)
 
 

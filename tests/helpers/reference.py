@@ -22,7 +22,7 @@ from itertools import combinations, groupby, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm, null_space
+from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 from helpers.configs import config_of, study_of
@@ -96,7 +96,7 @@ class Regime:
     @cached_property
     def powers(self):
         """The state after 0 to BLOCK cells."""
-        across = expm(self.generator * self.cell)
+        across = _exponential(self.generator * self.cell)
         across[self.held :, : self.held] = 0.0  # or it is off by some 1e-14 after a block
         across[self.held] = np.eye(len(across))[self.held]
         powers = [np.eye(len(across))]
@@ -131,6 +131,19 @@ class Regime:
         sure = np.abs(terms) > rounding * np.outer(scale, looseness)
         first = np.where(sure.any(axis=0), np.argmax(sure, axis=0), ORDER + 1)
         return [terms[k:, j] for j, k in enumerate(first)]
+
+
+def _exponential(matrix):
+    """exp of a matrix whose eigenvalues are at most `CELL`, by its Taylor series.
+
+    Small entries keep their digits beside large ones: seconds beside the square of a mode's rate. Those of scipy's
+    `expm` do so up to version 1.17 only.
+    """
+    total = term = np.eye(len(matrix))
+    for k in range(1, 25):
+        term = term @ matrix / k
+        total = total + term
+    return total
 
 
 def _value(coefficients, u):
@@ -358,10 +371,7 @@ def _complementary(matrix, least):
 
 def _settled(flow, piece, modes, z, at_rest):
     """The modes that follow of the elements at rest, and the state without rounding in their twist rates and gaps."""
-    n, z = flow.n, z.copy()
-    closed = [k for k in at_rest if modes[k].name == "closed"]
-    flanks = [modes[k].side * flow.elements[k].behaviour.backlash / 2 for k in closed]
-    z[:n] -= _least_change(flow, closed, flow.rows[closed] @ z[:n] - flanks)
+    n, z = flow.n, _in_contact(flow, modes, z, at_rest)
     z[n : 2 * n] -= _least_change(flow, at_rest, flow.rows[at_rest] @ z[n : 2 * n])
     choices = [
         element.behaviour.alternatives(mode) if k in at_rest else (mode,)
@@ -380,6 +390,15 @@ def _settled(flow, piece, modes, z, at_rest):
     raise RuntimeError("no combination of modes is consistent")
 
 
+def _in_contact(flow, modes, z, elements):
+    """The state without the rounding that has moved the rigid flanks of those of these elements that are closed."""
+    z = z.copy()
+    closed = [k for k in elements if modes[k].name == "closed" and flow.elements[k].behaviour.rigid]
+    flanks = [modes[k].side * flow.elements[k].behaviour.backlash / 2 for k in closed]
+    z[: flow.n] -= _least_change(flow, closed, flow.rows[closed] @ z[: flow.n] - flanks)
+    return z
+
+
 def _least_change(flow, elements, twists):
     """The change of y, least by kinetic energy, that changes the twists of elements by as much."""
     rows = flow.rows[elements]
@@ -395,6 +414,7 @@ def _follow(flow, piece, modes, z, guard, fastest):
     before, happened, n = modes, [], flow.n
     moved = np.abs(z[n : 2 * n])  # a touch may stop all that moves
     if guard.kind == "touch":
+        z = _in_contact(flow, modes, z, range(len(modes)))  # of which the touch may part some
         modes, z, happened = _struck(flow, modes, z, guard, fastest)
     regime = flow.regime(piece, modes)
     moved = moved + np.abs(z[n : 2 * n]) + regime.cell * np.abs(regime.generator[n : 2 * n] @ z)
