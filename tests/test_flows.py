@@ -20,9 +20,10 @@ from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.tables import ACCELERATION, INPUTS, TORQUE_RATE
-from clunk.simulation import driveline
 from clunk.simulation.batches import of_system, prepare_one
+from clunk.simulation.driveline import Driveline
 from clunk.simulation.energy import balance
+from clunk.simulation.system import prepare
 
 # Rounding of a few products of tables that are each good to some 1e-15, and a modal basis to its condition (up to 1e4).
 TIGHT = 1e-11
@@ -75,7 +76,7 @@ def test_a_decay_much_faster_than_what_lasts_is_alone_in_its_pair():
     plant = reference.boere(5.0, 6.0)
     first, second, *others = plant.shafts
     study = reference.study_of(replace(plant, shafts=(first, (*second[:3], 400.0), *others)))
-    _, flows = driveline.prepare(study, driveline.Driveline.from_study(study))
+    _, flows = prepare(study, Driveline.from_study(study))
     assert flows.modal.all()
     rates = np.abs(np.diagonal(flows.generator, axis1=-2, axis2=-1)).reshape(-1, 2, PAIRS)
     slower, faster = rates.min(axis=1), rates.max(axis=1)
@@ -241,7 +242,7 @@ class Flow:
 
     def __init__(self, plant, which):
         study = reference.study_of(plant)
-        system, flows = driveline.prepare(study, driveline.Driveline.from_study(study))
+        system, flows = prepare(study, Driveline.from_study(study))
         for field in flows._fields:
             setattr(self, field, getattr(flows, field)[0, which])
         self.which, self.system, self.flows = which, system, flows

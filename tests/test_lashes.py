@@ -10,7 +10,7 @@ from helpers.reference import Lash, Plant
 import clunk
 from clunk.core.events import LOCK, TOUCH
 from clunk.core.status import Status
-from clunk.simulation.driveline import build
+from clunk.simulation.system import build
 from clunk.simulation.trajectory import simulate
 from clunk.study.errors import ClunkError
 

@@ -8,7 +8,8 @@ from helpers import margins, reference
 from helpers.agreement import TIME, both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
 from helpers.reference import CONTACTS, PROFILES, Plant, lag, ramp, sine, smooth, table
 
-from clunk.simulation.driveline import Driveline, prepare
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.system import prepare
 
 
 @pytest.mark.parametrize("contact", CONTACTS)

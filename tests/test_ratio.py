@@ -7,10 +7,11 @@ import pytest
 from helpers import reference
 
 from clunk.core.events import KIND_NAMES, LOCK
-from clunk.simulation.driveline import Driveline, build
+from clunk.simulation.driveline import Driveline
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
+from clunk.simulation.system import build
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values

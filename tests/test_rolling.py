@@ -11,11 +11,12 @@ from helpers.starts import started
 
 from clunk.api import run_points
 from clunk.core.status import Status
-from clunk.simulation.driveline import Driveline, build, prepare
+from clunk.simulation.driveline import Driveline
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.phases import preload
 from clunk.simulation.small_gap import SmallGap
+from clunk.simulation.system import build, prepare
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError

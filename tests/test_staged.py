@@ -7,7 +7,8 @@ from helpers.reference import Plant
 
 from clunk.api import sweep
 from clunk.core.events import STAGE
-from clunk.simulation.driveline import Driveline, steady_stages
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.system import steady_stages
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study
 from clunk.study.errors import ClunkError

@@ -85,7 +85,7 @@ def warn(study: Study, method: str | None = None) -> None:
 
     method : by which runs are made, by default the config's
     """
-    from clunk.simulation.driveline import steps_a_period
+    from clunk.simulation.system import steps_a_period
     from clunk.study.designs import unused_parameters
     from clunk.study.study import replace_values
 

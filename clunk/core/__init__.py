@@ -13,7 +13,7 @@ then), then one of two methods, and `sequence` (which impacts are primary, and t
 Q and V), `jit` (how the core is compiled, once for all drivelines), `partial` (the use of numba's private parts,
 without which compiling takes longer), `references` (systems and workspaces passed to compiled functions by reference),
 `arrays` (types of arrays) and `sums`. Kernels allocate nothing: their callers provide all arrays. Outside the core,
-`simulation.driveline` prepares the system and its tables of modes, and `simulation.batches` the tables of RK4.
+`simulation.system` prepares the system and its tables of modes, and `simulation.batches` the tables of RK4.
 
 Both methods share the system, its guards, the preload, what happens at an event (`switching`, `rigid`, `rubbing`), the
 label, and the modes, by whose amplitudes RK4 proves that nothing can follow at all, or within some steps. The methods

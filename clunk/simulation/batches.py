@@ -10,9 +10,10 @@ from clunk.core.exact.flows import Flows
 from clunk.core.regimes import driveline_at
 from clunk.core.rk4.propagator import build_steps
 from clunk.core.tile import Batch
-from clunk.simulation.driveline import Driveline, prepare
+from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import WAVES
 from clunk.simulation.measures import channels_of
+from clunk.simulation.system import prepare
 from clunk.study.arrays import Floats, Positions
 from clunk.study.parameters import located
 from clunk.study.rules import count_of_flows
@@ -43,7 +44,7 @@ def of_system(study: Study) -> Study:
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:
-    """Switched linear systems of a study with many sets of values, and the tables of its method: `driveline.prepare`.
+    """Switched linear systems of a study with many sets of values, and the tables of its method: `system.prepare`.
 
     Yields batches of drivelines of the same structure, each with the positions of its drivelines in `values`. The
     numbers of a driveline are bit for bit those that it has when prepared alone.

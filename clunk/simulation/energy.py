@@ -16,9 +16,10 @@ import numpy as np
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.core.tables import TORQUE, half_gap_of
-from clunk.simulation.driveline import Driveline, build, held_inputs
+from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import integrals, stretches
+from clunk.simulation.system import build, held_inputs
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats
 from clunk.study.records import Record, tells, told

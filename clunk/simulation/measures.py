@@ -5,7 +5,8 @@ import numpy as np
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS, Channels
 from clunk.core.regimes import System
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, TORQUE, TORQUE_RATE, FlowOf, half_gap_of
-from clunk.simulation.driveline import Driveline, flows_of
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.system import flows_of
 from clunk.study.arrays import Floats
 from clunk.study.models import part_of
 from clunk.study.study import Study

@@ -12,9 +12,9 @@ from clunk.core.exact.margins import MOST
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.sums import root_of_squares
-from clunk.simulation import driveline
 from clunk.simulation.batches import of_system, prepare_one
 from clunk.simulation.load import cases_of
+from clunk.simulation.system import explained
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
 from clunk.study.records import Rows, as_text, capital
@@ -266,7 +266,7 @@ def _repeating(study: Study, phases: Records) -> str:
 
 
 def _sentence(study: Study, status: Status) -> str:
-    return capital(driveline.explained(study, status)) + "."
+    return capital(explained(study, status)) + "."
 
 
 def _line(run: Trajectory) -> tuple[str, str]:

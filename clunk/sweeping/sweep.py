@@ -12,7 +12,7 @@ from clunk.core.status import Status
 from clunk.results.maps import AnyMap, Results
 from clunk.results.netcdf import StoreError
 from clunk.results.store import read_map, write_results
-from clunk.simulation.driveline import explained
+from clunk.simulation.system import explained
 from clunk.study.designs import Design, design_of
 from clunk.study.document import FilePath
 from clunk.study.errors import ClunkError

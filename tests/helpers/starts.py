@@ -6,8 +6,9 @@ import numpy as np
 
 from clunk.core.tables import SLIPS_BACKWARD, SLIPS_FORWARD, STICKS, half_gap_of
 from clunk.core.tile import Cases
-from clunk.simulation.driveline import Driveline, prepare
+from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import run_load
+from clunk.simulation.system import prepare
 from clunk.simulation.trajectory import run_of, simulate
 
 
