@@ -280,6 +280,17 @@ def test_a_swept_key_is_overlaid_with_values_of_its_own(command, small, here):
     code, _, err = command("simulate", small, "--overlay", "load.ratoi=2,5")
     assert code == 2
     assert "--overlay load.ratoi: unknown key" in err
+    err = command("simulate", small, "--overlay", "load.profile=step,ramp")[2]
+    assert "\n  load.duration: missing" in err  # without the line of a text that nobody sees
+
+
+def test_a_cell_is_named_by_the_names_of_inertias(command, here):
+    axes = '[[sweep.axes]]\nparameter = "load.on"\nvalues = ["motor", "flange"]\n' + axis("load.ratio", 1.0, 5.0, 2)
+    (here / "loaded.toml").write_text(EXACT + axes)
+    runs = [command("simulate", "loaded.toml", "--at", f"load.on={on}", "--at", "load.ratio=5") for on in ("flange", 2)]
+    assert runs[0] == runs[1]
+    assert runs[0][::2] == (0, "")
+    assert command("simulate", "loaded.toml", "--at", "load.on=1", "--at", "load.ratio=ring")[0] == 2
 
 
 def test_compare_tells_equal_from_different(command, small, here):
@@ -376,7 +387,7 @@ def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):
     )
     _, out, err = command("modes", "car.toml")
     assert err.startswith("warning: the file's [[driveline.shafts]] replace all 6 shafts of preset")
-    assert "no stiffness joins input shaft and output shaft to engine" in " ".join(err.split())
+    assert "no shaft and no lash joins body to those at the lash" in " ".join(err.split())
     assert "warning" not in out
 
 

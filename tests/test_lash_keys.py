@@ -97,6 +97,7 @@ def test_the_schema_allows_one_lash_and_several():
         (TWO, ["lash[2].name='gear'"], "lash[2].name", 'the name "gear" is taken by lash 1'),
         (TWO, ["lash[1].name='lash 2'"], "lash[2].name", 'the name "lash 2" is taken by lash 1'),
         (TWO, ["lash[1].name='2'"], "lash[1].name", "must not be empty, a number"),
+        (TWO, ["lash[1].name=''"], "lash[1].name", "must not be empty, a number"),
         (TWO, ["lash[2].contact.model='restitution'"], "lash[2].contact.model", "have one contact model"),
         (TWO, ["lash[2].radious=1"], "lash[2].radious", 'did you mean "radius"?'),
         (TWO, ["lash[2].between=[2, 9]"], "lash[2].between[2]", "there is no inertia 9"),

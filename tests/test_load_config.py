@@ -49,8 +49,10 @@ def problems(text: str, *overrides: str, folder=".") -> list[tuple[str, str]]:
 
 def test_a_tip_out_is_a_step():
     torques = "static_torque = -1.0\nratio = 5.0"
-    step, tip_out = (study_from_text(config(f'profile = "{each}"\n{torques}')) for each in ("step", "tip-out"))
+    texts = [config(f'profile = "{each}"\n{torques}') for each in ("step", "tip-out")]
+    step, tip_out = map(study_from_text, texts)
     assert tip_out == step
+    Draft202012Validator(json_schema()).validate(tomllib.loads(texts[1]))
 
 
 @pytest.mark.parametrize("profile", PROFILES)

@@ -118,9 +118,10 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
 
     from clunk.study.document import assigned
     from clunk.study.errors import ClunkError
-    from clunk.study.parameters import numbered
+    from clunk.study.parameters import names_of, numbered, parameter_at
 
     swept = {axis.parameter: axis for axis in axes}
+    inertias = names_of(document)["driveline.inertias"]
     values = {}
     for assignment in at:
         name, text = assigned(assignment)
@@ -129,7 +130,9 @@ def nearest_values(axes: Sequence[ResultAxis], at: tuple[str, ...], document: An
             raise click.UsageError(f"--at {assignment}: nothing is swept; --set {assignment} gives a key its value.")
         try:
             axis = swept.pop(key)
-            wanted = text if text in axis.words else float(text or "")
+            is_name = text in inertias and parameter_at(key, document)[1].whole
+            number = inertias.index(text) + 1 if is_name else text
+            wanted = text if text in axis.words else float(number or "")
         except (KeyError, ValueError):
             there = _spreads(axes)
             raise click.UsageError(

@@ -109,7 +109,7 @@ def _studies_to_simulate(
 
     from clunk.study.config import study_from_text
     from clunk.study.document import assigned
-    from clunk.study.errors import ClunkError
+    from clunk.study.errors import ClunkError, ConfigError, report
     from clunk.study.parameters import numbered
     from clunk.study.study import replace_values, to_toml
 
@@ -132,8 +132,9 @@ def _studies_to_simulate(
         return [
             (", ".join(chosen), study_from_text(config, str(source), chosen)) for chosen in product(*choices.values())
         ]
-    except ClunkError as error:
-        raise ClunkError(str(error).replace("--set", "--overlay")) from None
+    except ConfigError as error:
+        problems = [problem._replace(line=None) for problem in error.problems]  # lines are those of `config`
+        raise ClunkError(str(report(str(source), problems)).replace("--set", "--overlay")) from None
 
 
 def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, figure: str) -> None:

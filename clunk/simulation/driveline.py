@@ -90,7 +90,7 @@ class Driveline:
             for key in ("stiffness", "damping")
         )
         return cls(
-            names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
+            names=study.driveline.all_names,
             inertia=numbers_at(varied, [("driveline", "inertias", k) for k in range(n)], study.driveline.inertias),
             shafts=shaft_rows,
             shaft_stiffness=stiffness,

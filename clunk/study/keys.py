@@ -60,6 +60,7 @@ def json_schema() -> Document:
     schema = Config.model_json_schema()
     for name, table in [("Config", schema), *schema["$defs"].items()]:
         table["required"] = _REQUIRED.get(name, table.get("required", []))
+    schema["$defs"]["Load"]["properties"]["profile"]["enum"].append("tip-out")  # which becomes "step"
     driveline = schema["$defs"]["DrivelineConfig"]
     preset = {"enum": list(PRESETS), "description": "fills in the keys that the file leaves out"}
     driveline["properties"] = {"preset": preset, **driveline["properties"]}

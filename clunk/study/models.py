@@ -140,6 +140,11 @@ class DrivelineConfig(Table):
         shafts = [shaft.name for shaft in self.shafts]
         yield from ((("shafts", k, "name"), text) for k, text in misnamed(shafts, "shaft"))
 
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """The name of each inertia; by default, without names in the config, as ``inertia 1``."""
+        return self.names or tuple(f"inertia {k}" for k in range(1, len(self.inertias) + 1))
+
 
 class Contact(Table):
     """Contact of the flanks: a spring and damper, or impacts of rigid flanks.
@@ -405,7 +410,7 @@ class Config(Table):
 
 def lash_name(position: int, name: str | None) -> str:
     """Name of the lash at a position from 0; by default, without a name in the config, as ``lash 1``."""
-    return name or f"lash {position + 1}"
+    return f"lash {position + 1}" if name is None else name
 
 
 def lash_position(name: WhichLash, names: Sequence[str]) -> int:

@@ -52,7 +52,7 @@ FASTEST_RATE = 1e12  # 1/s, largest sqrt(k/J) and c/J on the lightest inertia; a
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; extreme values of varied keys are only tried if these find nothing."""
-    return [*_of_a_run(config), *_varied(config), *_measured(config)] or [*_reached(config)]
+    return [*_joined(config), *_of_a_run(config), *_varied(config), *_measured(config)] or [*_reached(config)]
 
 
 def _of_a_run(config: Config) -> Findings:
@@ -84,7 +84,19 @@ def _users(key: str) -> str:
     return listing([shorten(profile) for profile in PROFILES if uses(profile, key)], "or")
 
 
-# --- Lashes, limits, sizes --------------------------------------------------------------------------------------------
+# --- Parts, lashes, limits, sizes -------------------------------------------------------------------------------------
+
+
+def _joined(config: Config) -> Findings:
+    """Require inertias that shafts and lashes join to each other: ground alone passes no motion on."""
+    ends = [{*lash.between} - {"ground"} for lash in config.lashes]
+    ends += [{*shaft.between} - {"ground"} for shaft in config.driveline.shafts]
+    joined = ends[0]
+    for _ in ends:
+        joined.update(*filter(joined.intersection, ends))
+    for k, name in enumerate(config.driveline.all_names):
+        if k + 1 not in joined:
+            yield ("driveline", "inertias", k), f"no shaft and no lash joins {name} to those at the lash"
 
 
 def _lashes(config: Config) -> Findings:
