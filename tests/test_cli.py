@@ -387,7 +387,7 @@ def test_shafts_that_replace_those_of_a_preset_are_warned_of(command, here):
     )
     _, out, err = command("modes", "car.toml")
     assert err.startswith("warning: the file's [[driveline.shafts]] replace all 6 shafts of preset")
-    assert "no shaft and no lash joins body to those at the lash" in " ".join(err.split())
+    assert "no shaft and no lash joins body to the lash or to ground" in " ".join(err.split())
     assert "warning" not in out
 
 

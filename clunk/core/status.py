@@ -29,7 +29,7 @@ _SENTENCES = {
     Status.NO_INITIAL_FLANK: "no initial flank: the lash carries no torque in the steady motion before the load step",
     Status.NON_FINITE: "the state became infinite or undefined",
     Status.EVENT_BUFFER_FULL: (
-        "more events than solver.max_events allows, or more changes of stage than are followed; "
+        "more events than solver.max_events allows, or more changes of stage, or of what sticks, than are followed; "
         "shorten solver.end_time, or raise a solver.max_events of less than 100,000"
     ),
     Status.UNSTABLE_STEP: (

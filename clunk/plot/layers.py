@@ -279,7 +279,7 @@ class Layers:
             if name in names and share >= _SEEN
         ]
         if self.shaded and (np.isnan(self.values) & ~self.failed).any():
-            why = "not known" if self.quantity.name == "margin" else "not defined (no events)"
+            why = "not known" if self.quantity.name == "margin" else "not defined"
             notes.append(Note(why, UNDEFINED))
         doubtful = (
             (FAILED, self.failed.sum(), "cell", FAILED_FILL),

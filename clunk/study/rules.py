@@ -88,15 +88,14 @@ def _users(key: str) -> str:
 
 
 def _joined(config: Config) -> Findings:
-    """Require inertias that shafts and lashes join to each other: ground alone passes no motion on."""
-    ends = [{*lash.between} - {"ground"} for lash in config.lashes]
-    ends += [{*shaft.between} - {"ground"} for shaft in config.driveline.shafts]
-    joined = ends[0]
+    """Require inertias that shafts and lashes join to each other or to ground."""
+    ends = [lash.between for lash in config.lashes] + [shaft.between for shaft in config.driveline.shafts]
+    joined = {"ground", *ends[0]}
     for _ in ends:
         joined.update(*filter(joined.intersection, ends))
     for k, name in enumerate(config.driveline.all_names):
         if k + 1 not in joined:
-            yield ("driveline", "inertias", k), f"no shaft and no lash joins {name} to those at the lash"
+            yield ("driveline", "inertias", k), f"no shaft and no lash joins {name} to the lash or to ground"
 
 
 def _lashes(config: Config) -> Findings:
