@@ -48,7 +48,7 @@ functional  a number that is linear in the state and the inputs: the gap of a la
 regime      a state of each element: a flow, the sides of the flanks in contact, and the guards that end it
 guard       a functional, signed and shifted, that is positive within a regime and ends it where it turns negative
 event       a guard turning negative, with the regime that follows; also the load step itself
-phase       a time in one regime and under one piece of the load
+phase       the time from one event to the next, in one regime; stretch: the part of it under one piece of the load
 inputs      d = (T, φ/2, …) of a run; u = (T, s φ/2, …) of a regime
 window      from one primary impact of a lash to its next, or the end, over which the acceleration's extremes make Q_i
 margin      how near a lash came to another label: positive for an event that did not happen, negative for one that did

@@ -51,7 +51,7 @@ def steady_motion(
     ------
     UnlikeError
         Where a driveline of a batch is held by no more than rounding. When it is alone, its angles are NaN, and its
-        torques are 1, so that flanks seem to press: what it lacks is a steady motion.
+        torques are 1, so that `switching.preload` answers NO_EQUILIBRIUM, and not NO_INITIAL_FLANK.
     """
     *batch, n, driven = torques.shape
     scale = _largest(stiffness)

@@ -23,8 +23,7 @@ from clunk.core.channels import CLOSING, CONTACT_TORQUE, LEVELS, OF_LASH, TERMS,
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer, reference_at, rows_of
-from clunk.core.regimes import System, overlap_of, speed_of
-from clunk.core.rigid import held_with
+from clunk.core.regimes import System, closed_lashes, overlap_of, speed_of
 from clunk.core.runs import end_of_piece, go_on
 from clunk.core.status import OK
 from clunk.core.sums import combine, copy, root_of_squares
@@ -179,7 +178,7 @@ def _add_event(
     if system.impulsive:
         if event.kind != TOUCH or (e + 1 < events.size and _are_one_impact(events, states, e)):
             return
-        begin, together = e, held_with(system, event.regime, -1) | 1 << lash
+        begin, together = e, closed_lashes(system, event.regime, -1) | 1 << lash
         while _are_one_impact(events, states, begin - 1):
             begin -= 1
             together |= 1 << events[begin].lash

@@ -211,6 +211,16 @@ def overlap_of(system: System, lash: int, side: int, x: FloatArray, inputs: Floa
 
 
 @part
+def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float, float]:
+    """The twist whose rate is weights (N,) times the state, and the sum of its terms' magnitudes  [rad]."""
+    twist, size = 0.0, 0.0
+    for k in range(system.inertias):
+        term = weights[system.inertias + k] * x[k]
+        twist, size = twist + term, size + abs(term)
+    return twist, size
+
+
+@part
 def guard_of(system: System, regime: int, functional: int, sign: float) -> int:
     """The guard of a regime with a given functional and sign, or -1."""
     for g in range(system.regimes[regime].guards):
@@ -225,6 +235,15 @@ def opened(system: System, regime: int, lash: int) -> int:
     """The regime that differs from a given one only in that a lash is open."""
     stride = system.regime_strides[lash]
     return regime - regime % system.regime_strides[lash + 1] // stride * stride
+
+
+@inlined_part
+def closed_lashes(system: System, regime: int, lash: int) -> int:
+    """The closed lashes of a regime, as bits, without one of them; with -1, all."""
+    closed = 0
+    for other in range(system.lash_count):
+        closed |= (other != lash and system.contacts[regime, other].closed != 0) << other
+    return closed
 
 
 class RigidMotion(NamedTuple):

@@ -12,7 +12,7 @@ from clunk.core import rubbing
 from clunk.core.arrays import FloatArray, Records
 from clunk.core.events import INSTANT, LOCK, SEPARATION, STAGE, TOUCH
 from clunk.core.jit import inlined_part, part
-from clunk.core.regimes import ROUNDING, System, gap_input, guard_of, lash_of, opened, speed_of
+from clunk.core.regimes import ROUNDING, System, closed_lashes, gap_input, guard_of, lash_of, opened, speed_of
 from clunk.core.runs import Entry, Log, Moment, record
 from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, FORCE, GAP
 
@@ -42,7 +42,7 @@ def strike(at: Moment, log: Log, regime: int, guard: int, speed: float, count: i
     regime = opened(system, _resting_on(at, log, regime, count), lash)
     slowest, before = _locking_speed(at, log, regime, lash, speed), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
-    held = closed = held_with(system, regime, lash)
+    held = closed = closed_lashes(system, regime, lash)
     if abs(speed) > slowest:
         held = _held_through(system, regime, lash, side, at.inputs)
     parted = closed & ~held
@@ -145,7 +145,7 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
     this, and only one but for lashes through which no impulse passes, which stay closed. A lash without a gap always
     stays closed, as it has a flank on either side.
     """
-    closed, always = held_with(system, regime, lash), 0  # `always`: those with a flank on either side
+    closed, always = closed_lashes(system, regime, lash), 0  # `always`: those with a flank on either side
     for other in range(system.lash_count):
         always |= (closed >> other & 1 and inputs[gap_input(other)] <= 0.0) << other
     held = closed
@@ -171,15 +171,6 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
 
 
 @inlined_part
-def held_with(system: System, regime: int, lash: int) -> int:
-    """The closed lashes of a regime, as bits, without one of them; with -1, all."""
-    held = 0
-    for other in range(system.lash_count):
-        held |= (other != lash and system.contacts[regime, other].closed != 0) << other
-    return held
-
-
-@inlined_part
 def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
     """The guard of a regime that is the gap of an open lash on one side."""
     return guard_of(system, regime, lash * system.functionals_per_lash + GAP, float(-side))
@@ -196,7 +187,7 @@ def enter_chosen(at: Moment, log: Log, regime: int, ended: int, touched: int, co
     """
     system, x, before = at.system, at.x, _resting_on(at, log, regime, count)
     successor, zero_guard, zero_order = rubbing.choose_states(at, regime, before, ended)
-    lashes, held = range(system.lash_count * system.impulsive), held_with(system, successor, -1)
+    lashes, held = range(system.lash_count * system.impulsive), closed_lashes(system, successor, -1)
     for lash in lashes:
         if touched >> lash & 1 and (held >> lash & 1 or rubbing.is_carried(at, successor, lash)):
             record(at, log, count, 0.0, LOCK, successor, lash, system.contacts[regime, lash].side)
@@ -305,23 +296,23 @@ def keep_locked(system: System, regime: int, x: FloatArray, inputs: FloatArray) 
     for lash in range(system.lash_count * system.impulsive):
         contact = system.contacts[regime, lash]
         if contact.closed:
-            _hold(system, held_with(system, regime, lash), lash, x, contact.side * inputs[gap_input(lash)])
+            _hold(system, closed_lashes(system, regime, lash), lash, x, contact.side * inputs[gap_input(lash)])
 
 
 @part
 def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> None:
-    """Make q = `gap` and q' = 0 by a change like an impulse's, which moves no centre of mass and no lash in `held`.
-
-    The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes the remaining
-    rounding, so that q' is zero to the last bit.
-    """
+    """Make q = `gap` and q' = 0 by a change like an impulse's, which moves no centre of mass and no lash in `held`."""
     _place(system, held, lash, x, 0, gap)
     _place(system, held, lash, x, system.inertias, 0.0)
 
 
 @part
 def _place(system: System, held: int, lash: int, x: FloatArray, first: int, target: float) -> None:
-    """Make q = `target` in the angles (`first` is 0), or q' = `target` in the speeds (`first` is n), for `_hold`."""
+    """Make q = `target` in the angles (`first` is 0), or q' = `target` in the speeds (`first` is n).
+
+    The last of the inertias at the lash that turn as q does, not through the gear ratio, takes the remaining rounding,
+    so that q' is zero to the last bit where that is the target.
+    """
     n, row, impulse = system.inertias, system.lashes[lash], system.impulse[held, lash]
     excess = -target
     last = -1

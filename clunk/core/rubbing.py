@@ -30,6 +30,7 @@ from clunk.core.regimes import (
     opened,
     rate_of_friction,
     stride_of_friction,
+    twist_of,
 )
 from clunk.core.runs import Moment
 from clunk.core.sums import weigh
@@ -325,16 +326,6 @@ def _rate(system: System, weights: FloatArray, fastest: float, x: FloatArray) ->
         total += abs(weights[k])
         fastest = max(fastest, abs(x[k]))
     return value, total * fastest
-
-
-@part
-def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float, float]:
-    """The twist whose rate is weights (N,) times the state, and the sum of its terms' magnitudes  [rad]."""
-    twist, size = 0.0, 0.0
-    for k in range(system.inertias):
-        term = weights[system.inertias + k] * x[k]
-        twist, size = twist + term, size + abs(term)
-    return twist, size
 
 
 @part

@@ -81,9 +81,8 @@ def end_of_piece(system: System, load: FloatArray, piece: int) -> float:
 def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs: FloatArray) -> None:
     """Set the torque and its rate of change, in the inputs d of a run, to those of a piece at a time."""
     row = load[piece]
-    inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL], 0.0
-    if system.ramps:
-        inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL] + row[SLOPE] * (time - row[BEGIN]), row[SLOPE]
+    slope = row[SLOPE] * system.ramps
+    inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL] + slope * (time - row[BEGIN]), slope
 
 
 @inlined_part

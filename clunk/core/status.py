@@ -45,4 +45,4 @@ INTERRUPTED = 255  # never stored: the cell has to be run again
 QUALITY_COMPLETE = 1  # proved that no event and no larger acceleration can follow
 QUALITY_UNDECIDED = 2  # a margin is below its tolerance, or rounding decides the outcome
 QUALITY_GRAZING = 8  # a tangency was decided within its tolerance
-QUALITY_MEANINGS = {1: "complete", 2: "undecided", 8: "grazing"}
+QUALITY_MEANINGS = {QUALITY_COMPLETE: "complete", QUALITY_UNDECIDED: "undecided", QUALITY_GRAZING: "grazing"}

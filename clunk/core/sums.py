@@ -1,4 +1,4 @@
-"""Sums of products, and copies, of short arrays, without allocation, for use within kernels."""
+"""Sums of products, and copies, of short arrays, within kernels; and a root of squares, which Python calls, too."""
 
 import numpy as np
 

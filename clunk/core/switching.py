@@ -43,7 +43,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
     inputs : (INPUTS + L - 1 or more,) float64
         d before the load step  [N m, rad, N m/s, rad].
     x : (N,) float64  [rad, rad/s]
-        Output, whatever the status.
+        Output if the status is OK; otherwise it may be overwritten.
     """
     system = refer(system)
     lashes, stages = system.lash_count, system.steady_motion.shape[0]

@@ -314,17 +314,15 @@ def build_tables(
     functionals = guards["functional"]
     guards["first_alike"] = (functionals[:, :, None] == functionals[:, None]).argmax(axis=2)
     groups = np.column_stack([regimes["flow"], contacts["side"] != 0, functionals, turned])
-    _, leaders, group_of = np.unique(
-        groups.view(f"V{groups[0].nbytes}").ravel(), return_index=True, return_inverse=True
-    )
-    regimes["group"] = np.argsort(np.argsort(leaders))[group_of]
+    _, first, group_of = np.unique(groups.view(f"V{groups[0].nbytes}").ravel(), return_index=True, return_inverse=True)
+    leaders, regimes["group"] = np.unique(first[group_of], return_inverse=True)
     return {
         "regimes": regimes,
         "contacts": contacts,
         "guards": guards,
         "offsets": offsets,
         "weights": weights,
-        "leaders": np.sort(leaders),
+        "leaders": leaders,
         "regime_strides": strides,
         "friction_states": chosen[:, len(elements) - len(frictions) :].copy(),
     }

@@ -299,10 +299,10 @@ def _finish(
             copy(log.extremes[i, lash], output.extremes[k, i, lash])
     if output.ends.size > 0:
         output.ends[k] = outcome.end
-    cells, impacts, nearest, total, count = output.cells[k], output.impacts, np.inf, 0, 0
+    cells, impacts, nearest, total, happened = output.cells[k], output.impacts, np.inf, 0, 0
     for i in range(1, outcome.written):
-        count += log.events[i].kind != STAGE
-    status = EVENT_BUFFER_FULL if outcome.status == OK and count > max_events else outcome.status
+        happened += log.events[i].kind != STAGE
+    status = EVENT_BUFFER_FULL if outcome.status == OK and happened > max_events else outcome.status
     for lash in range(system.lash_count):
         cells[lash].status = status
         nearest = min(nearest, abs(log.courses[lash].least))
@@ -312,7 +312,7 @@ def _finish(
         cell, events, severities, speeds = cells[lash], log.events, 0.0, 0.0  # sums of squares
         cell.margin = log.courses[lash].least
         cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)
-        side, count, pattern = cell.initial_side, 0, np.uint64(1)
+        side, primaries, pattern = cell.initial_side, 0, np.uint64(1)
         for i in range(1, outcome.written):
             event = events[i]
             if event.lash != lash:
@@ -335,9 +335,9 @@ def _finish(
                 impact.closing_speed = abs(event.speed)
                 impact.severity = severity
                 impact.flank = INITIAL if event.side == side else OPPOSITE
-            count, total = count + 1, total + 1
-        cell.pattern = pattern if count <= LONGEST_PATTERN else np.uint64(0)
-        cell.primary_impacts = count
+            primaries, total = primaries + 1, total + 1
+        cell.pattern = pattern if primaries <= LONGEST_PATTERN else np.uint64(0)
+        cell.primary_impacts = primaries
         cell.severity = np.nan if system.impulsive else np.sqrt(severities)
         cell.approach_velocity = np.sqrt(speeds)
     return total

@@ -240,13 +240,13 @@ def shown_until(trajectory: Trajectory) -> float:
 # --- Sampling --------------------------------------------------------------------------------------------------------
 
 
-class _Phase(NamedTuple):
+class _Stretch(NamedTuple):
     """Samples of the motion in a stretch: one regime under one piece of the load; m samples, N states."""
 
     time: Floats  # (m,)  s after the load step
     state: Floats  # (m, N)  rad, rad/s, and the load's wave
     regime: Regime
-    event: int  # index of the event that the phase begins with, or -1
+    event: int  # index of the event that the stretch begins with, or -1
 
     def observed(self, line: Driveline, system: System) -> tuple[Floats, Floats, Integers, Floats]:
         """Accelerations, load, sides of q in contact, and contact torques at the samples, in the units of `History`."""
@@ -263,22 +263,22 @@ class _Phase(NamedTuple):
 
 def _before_load_step(
     trajectory: Trajectory, system: System, inputs: Floats, acceleration: Floats, begin: float, step: float
-) -> _Phase:
+) -> _Stretch:
     """Samples of the steady motion before the load step, at a constant acceleration, (n,)  [rad/s2]."""
     time = np.concatenate(([begin] if begin < 0.0 else [], _grid(begin, 0.0, step) * step, [0.0]))
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
-    return _Phase(time, state + 0.0, regime_under(system, trajectory.events["regime"][0], inputs), -1)  # no -0.0
+    return _Stretch(time, state + 0.0, regime_under(system, trajectory.events["regime"][0], inputs), -1)  # no -0.0
 
 
 def _after_event(
     trajectory: Trajectory, system: System, before: Floats, load: Floats, k: int, end: float, step: float
-) -> Iterator[_Phase]:
+) -> Iterator[_Stretch]:
     """Samples from the right limit of entry `k` in the run's phases to the left limit of the next, or to `end`.
 
-    Yields a phase for each stretch. An entry whose regime lasts no time yields nothing where a change of stage follows
-    it; the phase that follows then begins with its event.
+    An entry whose regime lasts no time yields nothing where a change of stage follows it; the phase that follows then
+    begins with its event.
     """
     phases, recorded = trajectory.phases, trajectory.phase_states
     starts, is_event, number = phases["time"], phases["kind"] != STAGE, phases["regime"][k]
@@ -304,7 +304,7 @@ def _after_event(
                 last[0, : recorded.shape[1]] = recorded[k + 1]
             sampled.append(np.array([until]))
             rows.append(last)
-        yield _Phase(np.concatenate(sampled), np.concatenate(rows), regime, event)
+        yield _Stretch(np.concatenate(sampled), np.concatenate(rows), regime, event)
         event = -1
 
 

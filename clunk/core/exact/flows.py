@@ -85,7 +85,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     The tables of a driveline have the same bits in any batch. A batch has one `modal` and one `steady` for each flow:
     raises UnlikeError where drivelines differ in more than numbers.
 
-    system : of a batch, if only of one driveline; without the states of a ramp
+    system : of a batch, which may be of one driveline; without the states of a ramp
     chains : of each flow
     held : the inputs that are the columns of `Chain.shift`
     """
@@ -129,7 +129,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if system.first_rolling >= 0:
-        tables.origin[:, :, 0, :, system.first_rolling] = 0.0  # the angle rolled by is 0 as a phase begins
+        tables.origin[:, :, 0, :, system.first_rolling] = 0.0  # the angle rolled by is 0 as a stretch begins
     return tables
 
 
@@ -256,7 +256,7 @@ def _particular(scaled: Scaled, forcing: FloatArray) -> FloatArray:
     """Coefficients p0 to p3 of a solution p0 + p1 t + p2 t²/2 + p3 t³/6 of z' = generator z + forcing, for each input.
 
     The column of the torque's rate of change is the solution for the torque's forcing times t. Returns
-    (D, 4, 2m, inputs).
+    (D G, 4, 2m, inputs).
     """
     generator, drift = scaled.generator, scaled.drift
     particular, stays = np.zeros((4, *forcing.shape)), np.flatnonzero(~drift)
@@ -286,7 +286,7 @@ def _with_wave(
 
     As a mode, the wave includes the steady response to it, the real part of v (w1 + i w2) with (rate - block) v =
     drive. Where the flow has no modes, or one of them is in resonance with the wave, w itself is the pair, scaled so
-    that its drive is no larger than the norm of `block`. So it is where the wave's rate is below `slow`, (D,)  [1/s]:
+    that its drive is no larger than the norm of `block`. So it is where the wave's rate is below `slow`, (D G,)  [1/s]:
     as a mode, the wave would include a response of a drift as large as the drive over the square of that rate, nearly
     all of which the drift's own coordinates would cancel.
 

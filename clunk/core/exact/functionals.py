@@ -65,7 +65,7 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector)
     """The origin of functional `f` in a flow, for the items taken.
 
     inputs_at : the row of `Pool.work` where the regime's inputs u begin
-    elapsed : since the phase began  [s]
+    elapsed : since the stretch began  [s]
     """
     output, driven = space.flows.origin_output, space.system.input_count
     first, order = f * driven, output.shape[3] * driven
@@ -79,12 +79,12 @@ def origin(space: Workspace, flow: int, f: int, inputs_at: int, elapsed: Vector)
 def weighed_origin(
     space: Workspace, weights: Table, first: int, stride: int, order: int, at: int, still: bool, elapsed: Vector
 ) -> Origin:
-    """The origin of a functional or a state: weighted sums of the inputs, carried on from the phase's beginning.
+    """The origin of a functional or a state: weighted sums of the inputs, carried on from the stretch's beginning.
 
     weights : one for each input, from `first` on and `stride` apart; those of the next derivative begin `order` further
     at : the row of `Pool.work` where the inputs begin
     still : whether the origin is constant; its derivatives are then left out, which saves a tenth of a step's time
-    elapsed : since the phase began  [s]
+    elapsed : since the stretch began  [s]
     """
     value = weighed(space, weights, first, stride, at)
     slope = curvature = third = vectors.splat(0.0)

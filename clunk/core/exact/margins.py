@@ -33,13 +33,13 @@ MOST = 0.25  # larger margins are not looked for, and are written as this one
 
 
 @inlined_part
-def _take(own: FloatArray, margin: float) -> None:
+def _take(lash_fields: FloatArray, margin: float) -> None:
     """Keep a margin of a lash if it is the smallest in magnitude so far; NaN is ignored.
 
-    own : the lash's row of `Workspace.of_lashes`
+    lash_fields : the lash's row of `Workspace.of_lashes`
     """
-    if abs(margin) < abs(own[rows.MARGIN]):
-        own[rows.MARGIN] = margin
+    if abs(margin) < abs(lash_fields[rows.MARGIN]):
+        lash_fields[rows.MARGIN] = margin
 
 
 @part
@@ -48,7 +48,7 @@ def set_static(space: Workspace, slot: int, start: Start) -> None:
 
     At rest means in steady motion in contact under the load's last torque or, if there is no such motion, before the
     load step; if there is none either, `static` is zero. Units are rad and N m. Also takes the margin of the torque in
-    contact before the load step. Overwrites the run's row of `Workspace.state`.
+    contact before the load step. Overwrites the run's row of `Workspace.state` and the torque in its inputs.
     """
     system, inputs = system_of(space, slot), space.inputs[slot]
     x = space.state[slot, : system.lashes.shape[1]]
@@ -89,8 +89,8 @@ def take_margin_of_event(space: Workspace, slot: int, at: Moment) -> None:
 def note_impacts(space: Workspace, slot: int, at: Moment, entry: Entry) -> None:
     """Set COURSE `margin` of rigid flanks that have just touched: how near a rebound is to a lock, or a lock to none.
 
-    Between runs whose flanks lock and runs whose flanks rebound until they part lies one with a touch after which the
-    flanks are as slow as at a lock, and the torque that locks them is as small. So the margin of a rebound is the
+    On the boundary between runs whose flanks lock and runs whose flanks rebound until they part, the speed after the
+    touch is the slowest that rebounds, and the torque that locks the flanks is zero. So the margin of a rebound is the
     larger of its speed and that torque, and the margin of a lock is minus the torque, as shares.
     """
     system, row = at.system, space.runs[slot]

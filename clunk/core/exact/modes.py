@@ -211,7 +211,7 @@ def modes_of(scaled: Scaled) -> Modes | None:
     # rates: of each decay's partner, which is the next decay, or behind the last a displacement that none moves far
     partners = [*rates[:, 1:fast].T, *np.zeros((damped.size - slow, count))]
     for k, quick, partner in zip(at, rates[:, :fast].T, partners, strict=False):
-        # oscillating modes keep spans short as well, for their share of the time that the partner lasts
+        # oscillating modes keep spans short as well: each counts by ω times its lifetime over the partner's
         lasting = -partner, *(turning.T * (partner / np.minimum(sigma[:, :rings].T, partner - TINY)))
         slots[k + 1 :] += slots[k] % 2 == 0 and alike(-quick > _FASTER * np.stack(lasting).max(axis=0), 0)
     alone = np.setdiff1d(damped, moved)

@@ -12,7 +12,7 @@ from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 
 @inlined_part
 def to_coordinates(space: Workspace, flow: int) -> None:
-    """Replace the states of the runs taken, at the beginning of a phase, by their coordinates in its flow.
+    """Replace the states of the runs taken, at the beginning of a stretch, by their coordinates in its flow.
 
     Both lie in the first rows of `Pool.work`.
     """

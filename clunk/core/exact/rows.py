@@ -1,19 +1,19 @@
 """Positions of the numbers of a run in its row of `Workspace.numbers`, and of a search in that of `Workspace.searches`.
 
-A row begins with the run's coordinates in its flow; from the beginning of a phase to the first step it holds the state
-there instead. Positions are counted from the end of these, `Workspace.behind`. In `Pool.work`, whose columns are lanes,
-a position is a row.
+A row begins with the run's coordinates in its flow; from the beginning of a stretch to the first step it holds the
+state there instead. Positions are counted from the end of these, `Workspace.behind`. In `Pool.work`, whose columns are
+lanes, a position is a row.
 """
 
 from clunk.core.jit import inlined_part
 
 # A run's numbers that steps change, and LIMIT and KINK, which they do not.
-ELAPSED = 0  # s, since the phase began
-# The guard that is zero as the phase begins, or -1, and how many of its derivatives are zero there, itself included: 0
-# once a step has been taken.
+ELAPSED = 0  # s, since the stretch began
+# The guard that is zero as the stretch begins, or -1, and how many of its derivatives are zero there, itself included:
+# 0 once a step has been taken.
 ZERO_GUARD, ZERO_ORDER = 1, 2
 TRY = 3  # s, the longest span that may be proposed next
-LIMIT = 4  # s, from the phase's beginning to the end of the run, or of the load's piece
+LIMIT = 4  # s, from the stretch's beginning to the end of the run, or of the load's piece
 KINK = 5  # 1 while another piece of the load is still to come, else 0
 _FIRST = 6
 # Then the numbers of each lash, counted from `of_lash`.
@@ -21,16 +21,16 @@ WINDOW_MAX, WINDOW_MIN = 0, 1  # rad/s2, extremes of the acceleration since the 
 # A step writes back the numbers up to the last lash's window, and does not change those behind it. It reads 8 numbers
 # of a row at a time: four inertias with one lash, under a load without a wave, have no more than 32.
 MARGIN = 2
-HELD_FROM = 3  # s, from the phase's beginning until a contact has held for the sticking time; -inf without contact
+HELD_FROM = 3  # s, from the stretch's beginning until a contact has held for the sticking time; -inf without contact
 SIDE = 4  # 1 or -1, times which the guards of the group's first regime have this regime's signs
 SCALE = 5  # rad or N m, of which the margins of the lash's guards are shares
 _OF_LASH = 6
-# Behind the numbers of the last lash: the shift of each guard, see `shift`; and the regime's inputs u as the phase, or
-# the load's piece, began.
+# Behind the numbers of the last lash: the shift of each guard, see `shift`; and the regime's inputs u as the stretch
+# began.
 
 # The numbers of a search: first those that change while it goes on.
 TIME_LEFT = 0  # s, still to be searched
-PHASE_TIME = 1  # s, since the phase began
+STRETCH_TIME = 1  # s, since the stretch began
 TOP, BOTTOM = 2, 3  # the extremes so far: a turn above TOP or below BOTTOM is looked for, and takes its place
 BY_SIGN, BY_SHIFT = 4, 5  # sign and shift that make a guard of the functional
 COUNTS = 6  # s: a turn counts only where TIME_LEFT is at most this

@@ -66,7 +66,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
 
 @inlined_part
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
-    """Begin a phase in a regime, entered or kept: set its state, inputs and guards' shifts, and put the run in a queue.
+    """Begin a stretch in a regime, entered or kept: set state, inputs and guards' shifts, and put the run in a queue.
 
     The load goes on to the piece that it has at this time. Frictions that can no longer stick then begin to slip, and
     rigid flanks that a jump of the load pulls apart separate; both are events. Neither is checked where the event that
@@ -77,7 +77,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     row.piece = go_on(system, load, row.piece, time, x, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
     numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
-    if (system.friction_count > 0 or system.impulsive) and (jumps or not chooses(system, row.regime, row.guard)):
+    if jumps or not chooses(system, row.regime, row.guard):
         row.count = entry.written
         entry = recheck(Moment(system, time, x, inputs, WITHIN, OF_MODES), log_of(space, slot), entry, jumps)
         _take_events(space, slot, entry.written)
@@ -94,13 +94,13 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     set_weighed(system, regime, inputs, space.weighed[slot])
     for lash in range(system.lash_count):
         contact, course = system.contacts[regime, lash], space.courses[slot, lash]
-        own = space.of_lashes[slot, lash]
+        lash_fields = space.of_lashes[slot, lash]
         held_from = course.contact_began + system.sticking_time[lash] - time
         mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
-        own[rows.HELD_FROM] = held_from if contact.closed else -np.inf
-        own[rows.SIDE] = -1.0 if mirrored else 1.0
+        lash_fields[rows.HELD_FROM] = held_from if contact.closed else -np.inf
+        lash_fields[rows.SIDE] = -1.0 if mirrored else 1.0
         # margins are shares of the whole gap between the flanks or, in contact, of the overlap or torque at rest
-        own[rows.SCALE] = course.static if contact.side else 2.0 * inputs[gap_input(lash)]
+        lash_fields[rows.SCALE] = course.static if contact.side else 2.0 * inputs[gap_input(lash)]
     for n in range(entered.watched):
         numbers[rows.shift(n, system.lash_count)] = weigh(system.offsets[regime, n], inputs)
     push(space.pool, space.queues.enter + entered.group, slot)
@@ -143,7 +143,7 @@ def advance(space: Workspace, stop: StopFlag) -> None:
 
 @inlined_part
 def _follow(space: Workspace, slot: int) -> None:
-    """Decide how a run goes on after a step: end its phase, queue its next step, or end the run."""
+    """Decide how a run goes on after a step: end its stretch, queue its next step, or end the run."""
     row, system = space.runs[slot], system_of(space, slot)
     now = row.time + space.fields[slot, rows.ELAPSED]
     if row.ended in (rows.BY_EVENT, rows.AT_END):
@@ -153,7 +153,7 @@ def _follow(space: Workspace, slot: int) -> None:
         if row.ended == rows.AT_END:
             now = end
     if row.ended == rows.BY_EVENT or (row.ended == rows.AT_END and now < system.end_time[0]):
-        _end_phase(space, slot, now)
+        _end_stretch(space, slot, now)
     elif row.ended in (rows.GOES_ON, rows.NEARS):
         queue = space.queues.short if row.ended == rows.NEARS else space.queues.span
         push(space.pool, queue + system.regimes[row.regime].group, slot)
@@ -163,8 +163,8 @@ def _follow(space: Workspace, slot: int) -> None:
 
 
 @inlined_part
-def _end_phase(space: Workspace, slot: int, time: float) -> None:
-    """End a phase, by an event or where another piece of the load begins, and begin the next one."""
+def _end_stretch(space: Workspace, slot: int, time: float) -> None:
+    """End a stretch, by an event or where another piece of the load begins, and begin the next one."""
     system, row = system_of(space, slot), space.runs[slot]
     x, by_event, total = space.state[slot, : system.lashes.shape[1]], row.ended == rows.BY_EVENT, 0.0
     at = Moment(system, time, x, space.inputs[slot], tolerance_after(time - row.time), OF_MODES)

@@ -45,7 +45,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
     present, until, done = (1 << count) - 1, field(space, rows.UNTIL), 0
     sign, shift, inputs_at = field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT), space.behind + rows.OF_A_SEARCH
     for _ in range(_AT_ONCE):
-        time_left, elapsed = field(space, rows.TIME_LEFT), field(space, rows.PHASE_TIME)
+        time_left, elapsed = field(space, rows.TIME_LEFT), field(space, rows.STRETCH_TIME)
         moving.measure(space.pool.work, space.behind, space.amplitudes)
         origin = functionals.origin(space, flow, f, inputs_at, elapsed)
         seen, _ = functionals.evaluate(space, flow, f)
@@ -67,7 +67,7 @@ def search(space: Workspace, flow: int, f: int, queue: int, count: int) -> None:
             break
         moving.move(space, flow, not modal, k, vectors.splat(1.0))
         set_field(space, rows.TIME_LEFT, time_left - h)
-        set_field(space, rows.PHASE_TIME, elapsed + h)
+        set_field(space, rows.STRETCH_TIME, elapsed + h)
     put_back(space.pool, space.pool.work, space.searches, space.behind + rows.BY_SIGN, present & ~done)
     push_all(space.pool, queue, present & ~done)
     lashes = space.system.lash_count

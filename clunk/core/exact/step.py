@@ -31,7 +31,7 @@ from clunk.core.status import QUALITY_GRAZING
 from clunk.core.sums import copy
 from clunk.core.tables import ACCELERATION, GAP
 
-_ALL_BUT_ZERO = 1e-9  # of the gap: rigid flanks that are nearer as a phase begins rest on each other
+_ALL_BUT_ZERO = 1e-9  # of the gap: rigid flanks that are nearer as a stretch begins rest on each other
 _NEXT_TRY = 0.4  # the longest span that is proposed after one whose proof failed, as a share of that one
 
 # Rows of a functional in `seen`: from _START and _END on its `Curve` at the step's beginning and end, its sway, and the
@@ -43,7 +43,7 @@ _START, _SWAY, _END, _LEAST, _GREATEST = 0, 5, 6, 11, 12
 def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     """Take a step with the `count` runs taken from a queue: over a span or, if `short`, a part of the shortest one.
 
-    Each lane has coordinates y at a time t of the phase. With a functional's row c in the flow, its origin p and the
+    Each lane has coordinates y at a time t of the stretch. With a functional's row c in the flow, its origin p and the
     inputs u, a guard is g(t) = sign (c · y + p(t) · u) + shift. From t on, the amplitudes of y give a bound of |c · y|,
     the sway, and bounds of the third and the sixth derivative of g. A span h is chosen for which an estimate from these
     stays positive; y becomes exp(Λ h) y; and h counts if the values, slopes and curvatures of g at t and t + h, and the
@@ -354,11 +354,13 @@ def _first_zero(
     lost = near & ~(start - start == 0.0)
     near &= ~lost
     within = vectors.larger(noise, WITHIN * scale)
-    given = order > 0.0
-    starts = given | (start <= noise) & (start >= -within)
-    order = vectors.choose(starts & ~given, 1.0, order)
+    known_order = order > 0.0
+    starts = known_order | (start <= noise) & (start >= -within)
+    order = vectors.choose(starts & ~known_order, 1.0, order)
     still = starts | (vectors.magnitude(start) <= within)
-    for n in range(1, 4):  # rigid flanks that part at rest, while others rebound, or from a torque of zero
+    # Rigid flanks may part with a slope and a curvature of zero, too: at rest while others rebound, or where the torque
+    # that held them is zero. Each coefficient within rounding then raises the order.
+    for n in range(1, 4):
         size = vectors.magnitude(vectors.load(c, n))
         still &= -space.system.impulsive & (size <= vectors.larger(of_slope, within))
         starts &= -space.system.impulsive & (size <= of_slope)
@@ -415,8 +417,8 @@ def _find_turns(space: Workspace, regime: int, event: Vector, h: Vector, advanci
 
     A turn counts where an acceleration is beyond its window, or a guard so low that the near miss makes the margin
     smaller. Guards that are zero with their slope at the beginning are passed over, since rounding would make a turn
-    there. So are gaps of rigid flanks that are all but zero as a phase begins: these flanks rest on each other, or have
-    been moved apart beside others.
+    there. So are gaps of rigid flanks that are all but zero as a stretch begins: these flanks rest on each other, or
+    have been moved apart beside others.
 
     event : the guard of each lane's event, or -1
     """
@@ -460,7 +462,7 @@ def _begin_search(
     of the step, called after `put_back` its end.
 
     mask : the lanes
-    time_left, began, counts : TIME_LEFT, PHASE_TIME and COUNTS of the searches, see `rows`  [s]
+    time_left, began, counts : TIME_LEFT, STRETCH_TIME and COUNTS of the searches, see `rows`  [s]
     deep : whether to search the depth
     """
     system, infinite, watched = space.system, vectors.splat(np.inf), space.system.regimes[regime].watched

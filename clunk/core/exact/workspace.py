@@ -40,7 +40,7 @@ RUN = record_of(
     piece="i8",  # of the load
     ended="i8",  # how the last step ended, see `rows.GOES_ON`
     guard="i8",  # the guard that ended the last step, if an event did
-    time="f8",  # s after the load step, when the phase began; of a run that is over, when it ended
+    time="f8",  # s after the load step, when the stretch began; of a run that is over, when it ended
     rolled="f8",  # rad, by which the first inertia that rolls has turned; the angles of the run are less that
 )
 
@@ -82,8 +82,8 @@ class Workspace(NamedTuple):
     runs: Records  # (S + 1,) RUN
     courses: Records  # (S, L) sequence.COURSE
     loads: FloatArray  # (loads, P, PIECE)
-    inputs: FloatArray  # (S, I)  d of each run as its phase, or its load's piece, began
-    state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
+    inputs: FloatArray  # (S, I)  d of each run as its stretch began
+    state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its stretch
     events: Records  # (S, capacity) EVENT
     extremes: FloatArray  # (S, capacity, L, 2)  [rad/s2]  see `runs.Log`
     states: FloatArray  # (S, capacity, N)  [rad, rad/s]  at the events, or (S, 0, N)

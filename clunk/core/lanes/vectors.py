@@ -45,8 +45,8 @@ class OfLanes(NamedTuple):
 
 Table = FloatArray | OfLanes  # whose numbers are in C order
 
-_ROW = ir.VectorType(ir.DoubleType(), WIDTH)
-_ANY = ir.Constant(_ROW, ir.Undefined)
+_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_ANY = ir.Constant(_VECTOR, ir.Undefined)
 _EIGHT = ir.VectorType(ir.DoubleType(), ROW)
 _INT = ir.IntType(64)
 
@@ -56,7 +56,7 @@ class LanesType(types.Type):
 
 
 _LANES = LanesType("Vector")
-register_model(LanesType)(lambda manager, of: models.PrimitiveModel(manager, of, _ROW))
+register_model(LanesType)(lambda manager, of: models.PrimitiveModel(manager, of, _VECTOR))
 
 
 _operation: Any = intrinsic  # for mypy: its first argument is not the caller's
@@ -70,7 +70,7 @@ def _splat(builder, x):
     return builder.shuffle_vector(builder.insert_element(_ANY, x, ir.IntType(32)(0)), _ANY, _index(*[0] * WIDTH))
 
 
-def _at(context, builder, array, value, first, shape=_ROW):
+def _at(context, builder, array, value, first, shape=_VECTOR):
     """A pointer to as many numbers of an array as a vector of type `shape` has, from number `first` on."""
     data = context.make_array(array)(context, builder, value).data
     return builder.bitcast(builder.gep(data, [first]), shape.as_pointer())
@@ -134,7 +134,7 @@ def _by_llvm(name: str, sides: tuple[Any, ...]):
 
     def emit(context, builder, signature, values):
         lanes = _as_lanes(builder, signature.args, values)
-        signature_of, full = ir.FunctionType(_ROW, [_ROW] * len(lanes)), f"llvm.{name}.v{WIDTH}f64"
+        signature_of, full = ir.FunctionType(_VECTOR, [_VECTOR] * len(lanes)), f"llvm.{name}.v{WIDTH}f64"
         return builder.call(cgutils.get_or_insert_function(builder.module, signature_of, full), lanes)
 
     return _LANES(*sides), emit

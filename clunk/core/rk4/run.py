@@ -61,7 +61,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
     """
     x, inputs, load = start.x, room.inputs, start.loads[start.load]
     inputs[:] = 1.0
-    room.z[:] = 0.0  # an earlier run may have left NaN in the padding, which is not written
+    room.z[:] = 0.0  # an earlier run may have left NaN in the padding, and 0 times NaN is NaN
     entry = Entry(1, start.regime, -1, 0)
     begin, written = 0.0, entry.written
     piece, rolled = begin_run(system, start, inputs, log)
@@ -247,13 +247,16 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
             clear = _guards_exceed(room, row.guards, columns, after)
         for lash in range(system.lash_count * (1 - system.impulsive) if clear else 0):
             functional = lash * system.functionals_per_lash + ACCELERATION
-            at, own = columns + 4 * functional, extremes[lash]
-            if max(z[at], after[at]) + sag[functional] > own[0] or min(z[at], after[at]) - sag[functional] < own[1]:
+            at, window = columns + 4 * functional, extremes[lash]
+            if (
+                max(z[at], after[at]) + sag[functional] > window[0]
+                or min(z[at], after[at]) - sag[functional] < window[1]
+            ):
                 clear = not is_stride
                 if clear:
                     c2, c3, c4 = z[at + 1] / BEND[1], z[at + 2] / BEND[2], z[at + 3] / BEND[3]
                     high, low = quartic.extremes((z[at], after[at] - z[at] - c2 - c3 - c4, c2, c3, c4), 1.0)
-                    own[0], own[1] = max(own[0], after[at], high), min(own[1], after[at], low)
+                    window[0], window[1] = max(window[0], after[at], high), min(window[1], after[at], low)
         if clear:
             copy(after, z)
             taken += STRIDE if is_stride else 1
