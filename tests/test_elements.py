@@ -11,7 +11,7 @@ from helpers.agreement import as_in_the_reference
 from helpers.randomplants import clutch_plant, element_plant, state_in_the_gaps
 
 from clunk.simulation.driveline import Driveline
-from clunk.simulation.rigid import rubs
+from clunk.simulation.rolling import rubs
 from clunk.simulation.trajectory import simulate
 from clunk.study.errors import ClunkError
 

@@ -10,7 +10,7 @@ from helpers.starts import started
 from scipy.linalg import expm
 
 from clunk.core.events import REJOIN, TOUCH
-from clunk.simulation import phases
+from clunk.simulation import stretches
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import simulate
@@ -135,13 +135,13 @@ def test_integrals_are_those_of_exponentials(monkeypatch, at_once):
 
     Within 1e-12: what rounding makes of an exponential whose matrix has a norm of 20, and is doubled as often.
     """
-    monkeypatch.setattr(phases, "_AT_ONCE", at_once)
+    monkeypatch.setattr(stretches, "_AT_ONCE", at_once)
     rng = np.random.default_rng(7)
     n, lengths = 5, np.array([0.0, 1e-9, 0.3, 2.0, 0.01, 4.0])  # s; rates are some 1/s
     rates, forms = rng.normal(size=(n, n)) - 2.0 * np.eye(n), rng.normal(size=(2, n, n))
     forms += forms.swapaxes(1, 2)
     zero, unit = np.zeros((n, n)), np.eye(n)
-    for length, (travel, integrals) in zip(lengths, phases.integrals(rates, lengths, forms), strict=True):
+    for length, (travel, integrals) in zip(lengths, stretches.integrals(rates, lengths, forms), strict=True):
         whole = expm(length * np.block([[rates, unit], [zero, zero]]))
         assert travel == pytest.approx(whole[:n, n:], rel=1e-12, abs=1e-12 * length)
         flow = whole[:n, :n]

@@ -14,9 +14,8 @@ from clunk.core.status import Status
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
-from clunk.simulation.phases import preload
 from clunk.simulation.small_gap import SmallGap
-from clunk.simulation.system import build, prepare
+from clunk.simulation.system import build, preload, prepare
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError

@@ -5,9 +5,10 @@ labels a crossing is located (`clunk.analysis.search`). As lines are smooth, kno
 that is possible (`Crossings`), and two runs then locate the crossing.
 
 A line that is not known well enough is refined by one operation, a node on an edge: between two crossings of the same
-edge; on the far edge of a triangle whose line is further from its chord than `CHORD`, or which nodes on its other edges
-have made flat, as lines that leave through the far edge have no crossing there; and beside the crossings on the long
-edges of a triangle of three labels, until these meet in a triangle as small as `JUNCTION`.
+edge; on the far edge of a triangle, which is opposite the corner of the single label, where its line is further from
+its chord than `CHORD`, or nodes on its other edges have made it flat, as lines that leave through the far edge have no
+crossing there; and beside the crossings on the long edges of a triangle of three labels, until these meet in a triangle
+as small as `JUNCTION`.
 When no line is left to follow, edges with a crossing are searched once for labels hidden beside it (`with_hidden`);
 then the lines in flat triangles are compared with their chords, too.
 Refinement needs crossings only to within `_NEAR`. The crossings of the final network are narrowed to the tolerance with
@@ -360,9 +361,10 @@ class Lines:
 
         A line counts as near its chord where lines, continued from crossings nearby, pass the chord's middle within
         half of `CHORD`; or where two runs, off the middle at a right angle to the chord, have the labels of their
-        sides. These are at the distance `CHORD`, or where the way ends at the triangle's edge before that. Else the far
-        edge is cut; of a flat triangle the edge on which another label is, at that place, as two crossings are hidden
-        there. A triangle as thin as `RESOLUTION` is not cut. Once the runs are used up, every line may be off.
+        sides. These are at the distance `CHORD`, or where the way ends at the triangle's edge before that. Of any other
+        triangle the far edge is cut in its middle; but where a run on an edge of a flat triangle had another label,
+        that edge is cut there, as two crossings are hidden beside it. A triangle as thin as `RESOLUTION` is not cut.
+        Once the runs are used up, every line may be off.
 
         corners : (m, 3) of triangles of two labels, the corner of the single label first
         """

@@ -41,7 +41,9 @@ from clunk.sweeping.runner import Runner
 # NaN where none is known; and its number of touches.
 POINT = record_of(cell="i8", value="f8", outcome="i8", measure="f8", touches="i8")
 Points = Records  # POINT
-Run = Callable[[Codes, Floats], Points]  # runs cells at values, (n,) each; its points may lack these two fields
+Run = Callable[
+    [Codes, Floats], Points
+]  # runs cells at values, (n,) each; it need not set these two fields of its points
 
 TOLERANCE = 1e-9  # of the span, the greatest width of a narrowed bracket
 # likewise with a failed run at one end: where runs begin to fail says how far they were followed, which is no physics,

@@ -29,9 +29,8 @@ def modes(study: Study, as_json: bool, **_: Any) -> None:
     """
     from clunk.core.status import Status
     from clunk.simulation.load import run_load
-    from clunk.simulation.phases import preload
     from clunk.simulation.small_gap import one_mode_thresholds, rigid_contact_thresholds
-    from clunk.simulation.system import build, explained, steady_driveline, steady_stages
+    from clunk.simulation.system import build, explained, preload, steady_driveline, steady_stages
 
     driveline, stages = steady_driveline(study), steady_stages(study)
     system = build(study)

@@ -55,7 +55,7 @@ class Cases(NamedTuple):
     before: FloatArray  # (cells, INPUTS + L - 1)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (cells or 1, P, PIECE)  pieces of the load after the load step
     drivelines: IntArray  # (cells or 1,)  positions of the cells' drivelines in a batch
-    # only of runs that do not begin in steady motion in contact
+    # only of runs that do not begin in steady motion in contact; their margins have no meaning
     states: FloatArray = np.zeros((0, 0))  # (cells or 0, N)  at the load step  [rad, rad/s]
     regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  regime at the load step
 

@@ -60,6 +60,8 @@ def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Ite
     ------
     ConfigError
         Where breakpoints cross.
+    ClunkError
+        Where rigid lashes are in a ring or side by side.
     """
     if not values.size:
         return
@@ -102,6 +104,5 @@ def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]
     steps = np.broadcast_to(line.varied.get(("solver", "step"), study.solver.step), count)
     for k in range(count):
         one = batch.at([k])
-        assert isinstance(one.tables, Flows)
-        system, tables = build_steps(one.system, Flows._make(table[0] for table in one.tables), steps[k])
+        system, tables = build_steps(one.system, Flows._make(table[k] for table in flows), steps[k])
         yield np.array([k]), Batch(driveline_at(system, None), tables, one.channels)

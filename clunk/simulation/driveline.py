@@ -15,7 +15,7 @@ from clunk.core.batches import alike
 from clunk.core.reductions import chain, constrained, locked
 from clunk.core.regimes import RigidMotion
 from clunk.core.tables import Friction, StagedShaft
-from clunk.simulation import rigid
+from clunk.simulation import rolling
 from clunk.study.arrays import Bools
 from clunk.study.document import Place
 from clunk.study.errors import ClunkError
@@ -122,13 +122,13 @@ class Driveline:
     def frictions(self) -> tuple[tuple[Friction, FloatArray], ...]:
         """Frictions, each with the share of every shaft in its torque, (S,); shafts side by side have one together."""
         frictions = []
-        units = self.shafts / np.maximum(np.linalg.norm(self.shafts, axis=-1, keepdims=True), 1e-300)
+        units = self.shafts / np.linalg.norm(self.shafts, axis=-1, keepdims=True)
         rest = self.shaft_friction.copy()
         for k in range(rest.shape[-1]):
+            if not alike(rest[..., k] > 0.0, 0):
+                continue
             shaft = self.shafts[..., k, :]
             beside = alike(abs(units @ units[..., k, :, None])[..., 0] > 1.0 - _SIDE_BY_SIDE)
-            if not (alike(rest[..., k] > 0.0, 0) and beside.any()):
-                continue
             along = (self.shafts @ shaft[..., None])[..., 0]
             torques = np.where(beside, rest * (abs(along) / along[..., k, None]), 0.0)
             total = torques.sum(axis=-1)
@@ -170,7 +170,7 @@ class Driveline:
         """Rigid-body motion with the lashes closed, and its speed or acceleration under a load of 1 N m."""
         springs = np.concatenate([self.shafts[..., self.is_spring, :], self.lashes], axis=-2)
         dampers = np.sqrt(self.shaft_damping)[..., None] * self.shafts
-        return rigid.steady_motion(self.inertia, springs, dampers, self.load)
+        return rolling.rigid_motion_of(self.inertia, springs, dampers, self.load)
 
     @property
     def contact_periods(self) -> FloatArray:

@@ -18,7 +18,7 @@ from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.core.tables import TORQUE, half_gap_of
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import run_load
-from clunk.simulation.phases import integrals, stretches
+from clunk.simulation.stretches import integrals, stretches
 from clunk.simulation.system import build, held_inputs
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats
@@ -92,7 +92,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
 
     A term beyond the range of floating-point numbers is infinite or NaN.
     """
-    from scipy.linalg import block_diag  # here, as importing scipy.linalg takes long, see `phases._series`
+    from scipy.linalg import block_diag  # here, as importing scipy.linalg takes long, see `stretches._series`
 
     study, events, states = trajectory.study, trajectory.phases, trajectory.phase_states
     line, system = Driveline.from_study(study), build(study)

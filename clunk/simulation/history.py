@@ -19,7 +19,7 @@ from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import Regime, apply, integrals, regime_under, states, stretches
+from clunk.simulation.stretches import Regime, apply, integrals, regime_under, states, stretches
 from clunk.simulation.system import build, steady_driveline
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Bools, Flanks, Floats, Integers, Positions

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE
-from clunk.core.tables import INPUTS, TORQUE, half_gap_of
+from clunk.core.tables import INPUTS, TORQUE, Number, half_gap_of
 from clunk.core.tile import Cases
 from clunk.study.arrays import Floats
 from clunk.study.document import Place, dotted
@@ -16,23 +16,22 @@ from clunk.study.errors import ConfigError
 from clunk.study.loads import Load
 from clunk.study.study import Study
 
-Numbers = float | Floats
-
 # s; a shorter duration or time constant counts as 0: on so steep a slope, rounding would move events by more than this
 _SHORTEST = 1e-9
 
 
-def loads_of(load: Load, count: int, **swept: Numbers) -> tuple[Floats, Floats]:
+def loads_of(load: Load, count: int, **swept: Number) -> tuple[Floats, Floats]:
     """Torques on the loaded inertia in `count` runs.
 
     Returns the torque before the load step, (count,)  [N m], and the pieces of the load after it, (1 or count, P,
     PIECE), see `clunk.core.runs`; they have one row where they are the same in all runs.
 
     `swept` values, (count,) each or one for all, replace those of the config's keys with the same names,
-    ``torques[n]`` and ``durations[n]`` among them; values that the profile does not use make no difference.
+    ``torques[n]`` and ``durations[n]`` among them; values that the profile does not use make no difference. Raises
+    ConfigError where times of a table decrease.
     """
     values = dict(load) | swept
-    before: Numbers
+    before: Number
     if load.profile == "table":
         torques = _entries(values, "torques", count) * np.reshape(values["scale"], (-1, 1))
         before, pieces = torques[:, 0], _lines(_entries(values, "times", count), torques)
@@ -76,14 +75,14 @@ def _held(durations: Floats, torques: Floats, rest: Floats) -> Floats:
     return pieces
 
 
-def _torques(values: Mapping[str, Any]) -> tuple[Numbers, Numbers]:
+def _torques(values: Mapping[str, Any]) -> tuple[Number, Number]:
     """Torques before the load step and after the change; the dynamic torque Td = σr Ts is released (report Eq. 2.4)."""
     if values["ratio"] is None:
         return values["initial_torque"], values["final_torque"]
     return values["static_torque"] * (1.0 + values["ratio"]), values["static_torque"]
 
 
-def _profile(values: Mapping[str, Any]) -> tuple[Numbers, Floats]:
+def _profile(values: Mapping[str, Any]) -> tuple[Number, Floats]:
     """Torque before the load step and pieces, (rows, P, PIECE), of a profile from one torque to another."""
     before, after = _torques(values)
     change, rest = after - before, (after, 0.0, 0.0, 0.0)
@@ -103,7 +102,7 @@ def _profile(values: Mapping[str, Any]) -> tuple[Numbers, Floats]:
     return before, _rows((0.0, *rest))
 
 
-def _span(time: Numbers) -> Floats:
+def _span(time: Number) -> Floats:
     return np.where(time < _SHORTEST, 0.0, time)
 
 
@@ -112,7 +111,7 @@ def _divisor(time: Floats) -> Floats:
     return np.where(time < _SHORTEST, np.inf, time)
 
 
-def _rows(*pieces: tuple[Numbers, ...]) -> Floats:
+def _rows(*pieces: tuple[Number, ...]) -> Floats:
     """Pieces, (rows, P, PIECE), from the columns of each, broadcast against each other; one row if all are numbers."""
     return np.stack(np.broadcast_arrays(*chain(*pieces)), axis=-1).reshape(-1, len(pieces), PIECE)
 
@@ -140,8 +139,11 @@ def wave_rates(load: Load, varied: Mapping[Place, Floats]) -> Floats | None:
     return np.stack([-decay, swing, -swing, -decay], axis=-1).reshape(*value.shape, 2, 2)
 
 
-def cases_of(study: Study, values: Mapping[str, Numbers] = MappingProxyType({}), count: int = 1) -> Cases:
-    """Torques and gaps of `count` runs with these values of parameters, (count,) each or one for all runs."""
+def cases_of(study: Study, values: Mapping[str, Number] = MappingProxyType({}), count: int = 1) -> Cases:
+    """Torques and gaps of `count` runs with these values of parameters, (count,) each or one for all runs.
+
+    Raises ConfigError where times of a table decrease.
+    """
     swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
     torque, pieces = loads_of(study.load, count, **swept)
     before = np.zeros((count, INPUTS + len(study.lashes) - 1))

@@ -20,8 +20,8 @@ from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
-from clunk.simulation.phases import inputs_of, integrals, preload, regime_under, states
-from clunk.simulation.system import build, explained
+from clunk.simulation.stretches import inputs_of, integrals, regime_under, states
+from clunk.simulation.system import build, explained, preload
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study

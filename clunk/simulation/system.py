@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
+from clunk.core import switching
 from clunk.core.arrays import FloatArray
 from clunk.core.exact.flows import Flows, build_flows
 from clunk.core.exact.modes import Chain
@@ -12,10 +14,9 @@ from clunk.core.reductions import constrained, product
 from clunk.core.regimes import LOCKING_SHARE, System, build_system, driveline_at, rolling_apart
 from clunk.core.status import Status
 from clunk.core.tables import OF_FRICTION, FlowOf, Lashes, combinations, half_gap_of
-from clunk.simulation import rigid
+from clunk.simulation import rolling
 from clunk.simulation.driveline import Driveline, numbers_at
 from clunk.simulation.load import WAVES, run_load, wave_rates
-from clunk.simulation.phases import preload
 from clunk.study.errors import listing
 from clunk.study.study import Study
 
@@ -40,7 +41,7 @@ def explained(study: Study, status: Status) -> str:
         return status.sentence
     driveline = Driveline.from_study(study)
     for friction, shares in driveline.frictions:
-        if rigid.rubs(friction, driveline.rigid_motion):
+        if rolling.rubs(friction, driveline.rigid_motion):
             key = f"driveline.shafts[{np.flatnonzero(shares)[0] + 1}]"
             return (
                 f"no steady motion before the load step: {key} slips as the driveline rolls, where its friction would "
@@ -57,7 +58,7 @@ def explained(study: Study, status: Status) -> str:
             "no steady motion before the load step that is the only one: a staged shaft carries a torque at which a "
             "stage of it has no stiffness"
         )
-    return rigid.separate_part(driveline.rigid_motion, driveline.load, driveline.names)
+    return rolling.separate_part(driveline.rigid_motion, driveline.load, driveline.names)
 
 
 def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = False) -> System:
@@ -78,12 +79,12 @@ def build(study: Study, driveline: Driveline | None = None, *, ramps: bool = Fal
         lashes=_core_lashes(study, driveline),
         end_time=numbers_at(driveline.varied, [("solver", "end_time")], [study.solver.end_time]),
         rigid=driveline.rigid_motion,
-        wave_rates=np.array([[0.0, 1.0], [0.0, 0.0]]) if is_ramp and not ramps else rates,
+        wave_rates=np.eye(2, k=1) if is_ramp and not ramps else rates,
         ramps=is_ramp and ramps,
         staged=staged,
         loose=[driveline.in_stages(each).rigid_motion.shape.shape[-1] > motions for each in stages_of(driveline)],
         frictions=frictions,
-        rubs=any(rigid.rubs(each, driveline.rigid_motion) for each in frictions),
+        rubs=any(rolling.rubs(each, driveline.rigid_motion) for each in frictions),
     )
 
 
@@ -133,7 +134,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     twists = np.concatenate([driveline.lashes, *rubbing], axis=-2)
     ties_of, line_in = cache(partial(constrained, twists)), cache(driveline.in_stages)  # many flows share them
     joints = np.concatenate([driveline.shafts, twists], axis=-2)
-    parts_of = cache(lambda *some: rigid.rigid_motions(joints[..., some, :]))
+    parts_of = cache(lambda *some: rolling.rigid_motions(joints[..., some, :]))
     for flow, of_flow in _chains(study, driveline).items():
         (closed, stages, stuck), inertias, matrices = flow, inertia, of_flow
         line = line_in(stages)
@@ -200,6 +201,21 @@ def flows_of(driveline: Driveline) -> list[FlowOf]:
         for stages in stages_of(driveline)
         for closed in of_lashes
     ]
+
+
+class Preload(NamedTuple):
+    """Steady motion in contact, and the status of runs that begin in it."""
+
+    status: Status
+    regime: int
+    x: FloatArray  # (N,)  [rad, rad/s]
+
+
+def preload(system: System, inputs: FloatArray) -> Preload:
+    """Steady motion in contact under constant inputs."""
+    x = np.zeros(system.rates.shape[1])
+    status, regime = switching.preload(system, inputs, x)
+    return Preload(Status(status), regime, x)
 
 
 def steady_stages(study: Study) -> dict[int, int]:

@@ -90,7 +90,7 @@ class Runner:
         return self.run(self.checked(points), progress)
 
     def run(self, values: Floats, progress: Progress = unseen) -> Results:
-        """Run points, (n, keys), that `checked` has returned."""
+        """Run points, (n, keys), as `checked` returns them; raises ConfigError where a driveline is refused."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
         reduction.run(self._engine, progress)
         return regime_map(reduction, self._attributes)

@@ -26,7 +26,7 @@ import clunk
 from clunk.simulation import batches
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.load import run_load
-from clunk.simulation.phases import preload
+from clunk.simulation.system import preload
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
 from clunk.study.parameters import nominal_value

@@ -48,7 +48,9 @@ class Chain(NamedTuple):
     damping, stiffness : (m, m) float64
     expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift (s φ/2), and back
     shift : (2n, L + M) float64, for the s φ/2 of each lash and the twist of each friction that sticks
-    rigid : (m, k) float64, all motions that twist no spring, no two of the same angle; k = 0 if the driveline is held
+    rigid : (m, k) float64, motions that twist no spring, no two of the same angle, as far as they are known beforehand:
+        all of them, or none if the driveline is held with its lashes closed, and has no stages and nothing that sticks;
+        a part that an open lash sets free is then found by the size of its terms, see `_are_free`
     """
 
     inertia: FloatArray

@@ -13,10 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.core import switching
 from clunk.core.regimes import System
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
-from clunk.core.status import Status
 from clunk.core.tables import TORQUE
 from clunk.study.arrays import Floats, Integers
 
@@ -39,23 +37,8 @@ class Regime(NamedTuple):
 def regime_under(system: System, number: int, inputs: Floats) -> Regime:
     """Regime `number` of a system under constant inputs d = (T, φ/2, T', …)  [N m, rad, N m/s]."""
     flow, contacts, u = system.regimes[number]["flow"], system.contacts[number], system.weights[number].copy()
-    u[: inputs.size] *= inputs  # those of staged shafts and frictions, behind, are 1
+    u[: inputs.size] *= inputs  # inputs left out are 1; where a friction sticks does not matter, as B is zero there
     return Regime(flow, system.rates[flow], system.inputs[flow] @ u, u, contacts["side"], contacts["closed"])
-
-
-class Preload(NamedTuple):
-    """Steady motion in contact, and the status of runs that begin in it."""
-
-    status: Status
-    regime: int
-    x: Floats  # (N,)  [rad, rad/s]
-
-
-def preload(system: System, inputs: Floats) -> Preload:
-    """Steady motion in contact under constant inputs."""
-    x = np.zeros(system.rates.shape[1])
-    status, regime = switching.preload(system, inputs, x)
-    return Preload(Status(status), regime, x)
 
 
 class Stretch(NamedTuple):

@@ -54,7 +54,7 @@ def speeds_along(joints: Floats, start: int) -> Floats:
     return speeds
 
 
-def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Floats) -> RigidMotion:
+def rigid_motion_of(inertia: Floats, springs: Floats, dampers: Floats, load: Floats) -> RigidMotion:
     """Rigid-body motion, and its constant speed under a load of 1 N m, or its acceleration where no damper resists it.
 
     Speeds and accelerations are zero unless there is exactly one such motion.
@@ -85,9 +85,7 @@ def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Float
 
 def rubs(friction: Friction, rigid: RigidMotion) -> bool:
     """Whether a friction would slip in steady motion, as a rigid-body motion twists its shaft."""
-    return any(
-        alike(_twists(friction.twist[..., None, :], each)[..., 0] != 0.0, 0) for each in np.moveaxis(rigid.shape, -1, 0)
-    )
+    return bool(alike(product(friction.twist[..., None, :], rigid.shape, _FITS).any(axis=(-2, -1)), 0))
 
 
 def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str:
