@@ -10,10 +10,22 @@ from clunk.core.events import STAGE
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.system import steady_stages
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import load_study
+from clunk.study.config import load_study, study_from_text
 from clunk.study.errors import ClunkError
 
 STAGES = ["driveline.shafts[1].stiffness=[31.3, 10.0, 31.3]", "driveline.shafts[1].breakpoints_deg=[-4.0, 2.0]"]
+TRUCK = """
+driveline.inertias = [1.2, 0.15, 0.05, 0.4, 16.0, 4500.0]
+driveline.shafts = [
+    { between = [1, 2], stiffness = [2292.0, 9000.0], breakpoints_deg = [12.0], damping = 1.0 },
+    { between = [3, 4], stiffness = 12000.0, damping = 3.0 },
+    { between = [4, 5], stiffness = 50000.0, damping = 60.0, ratio = 3.7 },
+    { between = [5, 6], stiffness = 80000.0, damping = 600.0 },
+    { between = [6, "ground"], damping = 30.0 },
+]
+lash = { between = [2, 3], ratio = 6.5, gap_mm = 0.1, radius = 0.045, contact = { stiffness = 2e8, damping = 2e3 } }
+load = { profile = "ramp", duration = 0.004, initial_torque = 485.0, final_torque = -80.0 }
+"""
 EXACT, RK4 = ['solver.method="exact"'], ['solver.method="rk4"', "solver.step=2e-5"]
 
 
@@ -114,3 +126,13 @@ def test_a_stage_without_stiffness_that_nothing_loads_changes_nothing_whichever_
     plain, staged = simulate(nominal(*EXACT)), simulate(nominal(*EXACT, *stages))
     assert staged.label == plain.label
     assert staged.events["time"] == pytest.approx(plain.events["time"], abs=1e-12)  # s, rounding
+
+
+@pytest.mark.parametrize(("torque", "duration"), [(485.0, 0.004), (500.0, 0.004), (560.0, 0.01), (490.0, 0.018)])
+def test_a_stage_is_left_once_in_a_steep_ramp_on_a_driveline_that_rolls(torque, duration):
+    """A ramp of 10⁵ N m/s takes speeds of 10⁸ rad/s as its steady response, where the drag takes minutes to act."""
+    load = [f"load.initial_torque={torque}", f"load.duration={duration}"]
+    runs = [simulate(study_from_text(TRUCK, overrides=[*load, *way])) for way in (EXACT, [RK4[0], "solver.step=1e-5"])]
+    assert (runs[0].phases["kind"] == STAGE).sum() == 1
+    assert np.array_equal(*(run.events["kind"] for run in runs))
+    assert runs[0].events["time"] == pytest.approx(runs[1].events["time"], abs=5e-7)  # of RK4, 120 steps a period

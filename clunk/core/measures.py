@@ -282,21 +282,12 @@ def _move_within(rates: FloatArray, share: float, room: Room) -> None:
 
 
 @part
-def _value_at(series: FloatArray, at: float) -> float:
-    """Value of a polynomial."""
+def _value_at(series: FloatArray, at: float, order: int) -> float:
+    """Value of a polynomial (`order` is 0), or its slope (1)."""
     value = 0.0
-    for k in range(series.size - 1, -1, -1):
-        value = value * at + series[k]
+    for k in range(series.size - 1, order - 1, -1):
+        value = value * at + (k if order else 1) * series[k]
     return value
-
-
-@part
-def _slope_at(series: FloatArray, at: float) -> float:
-    """Slope of a polynomial."""
-    slope = 0.0
-    for k in range(series.size - 1, 0, -1):
-        slope = slope * at + k * series[k]
-    return slope
 
 
 @part
@@ -304,7 +295,7 @@ def _integral(series: FloatArray, length: float, power: int) -> float:
     """Integral from 0 to `length` of a polynomial (`power` is 1) or of its square (2)."""
     total = 0.0
     for n in range(_NODES.size):
-        total += _WEIGHTS[n] * _value_at(series, length * _NODES[n]) ** power
+        total += _WEIGHTS[n] * _value_at(series, length * _NODES[n], 0) ** power
     return 0.5 * length * total
 
 
@@ -322,19 +313,19 @@ def _widen(series: FloatArray, length: float, ranges: FloatArray) -> None:
     low, high = ranges[0], ranges[1]
     if low <= series[0] - reach and series[0] + reach <= high:
         return
-    end, slope = _value_at(series, length), series[1]
+    end, slope = _value_at(series, length, 0), series[1]
     low, high = min(low, series[0], end), max(high, series[0], end)
     for n in range(_PLACES):
         first, last = n * length / _PLACES, (n + 1) * length / _PLACES
-        following = _slope_at(series, last)
+        following = _value_at(series, last, 1)
         if (slope > 0.0) != (following > 0.0):
             for _ in range(_HALVINGS):
                 at = 0.5 * (first + last)
-                if (_slope_at(series, at) > 0.0) == (slope > 0.0):
+                if (_value_at(series, at, 1) > 0.0) == (slope > 0.0):
                     first = at
                 else:
                     last = at
-            turn = _value_at(series, first)
+            turn = _value_at(series, first, 0)
             low, high = min(low, turn), max(high, turn)
         slope = following
     ranges[0], ranges[1] = low, high

@@ -109,27 +109,7 @@ class System(NamedTuple):
 
 
 # The fields in which drivelines of one structure differ: in a batch of D drivelines they have an axis of D in front.
-VARYING = (
-    "rates",
-    "inputs",
-    "functionals",
-    "feedthrough",
-    "outputs",
-    "lashes",
-    "offsets",
-    "weights",
-    "impulse",
-    "passed",
-    "restitution",
-    "locking_speed",
-    "frictions",
-    "friction_torques",
-    "steady_motion",
-    "contact_torque",
-    "drift",
-    "end_time",
-    "sticking_time",
-)
+VARYING = tuple(name for name, kind in System.__annotations__.items() if kind is FloatArray)
 
 
 def driveline_at(systems: System, index: Positions | list[int] | int | None) -> System:
@@ -204,10 +184,7 @@ def speed_of(system: System, lash: int, x: FloatArray) -> float:
 @inlined_part
 def overlap_of(system: System, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> float:
     """Overlap of the flanks of a lash on one side  [rad]."""
-    overlap = -inputs[gap_input(lash)]
-    for k in range(system.inertias):
-        overlap += side * system.lashes[lash, system.inertias + k] * x[k]
-    return overlap
+    return side * twist_of(system, system.lashes[lash], x)[0] - inputs[gap_input(lash)]
 
 
 @part
@@ -404,7 +381,7 @@ def build_system(
     motions = rigid.shape.shape[-1]
     steady = np.zeros((*batch, len(loose), states, driven))
     carried = np.zeros((*batch, len(loose), count, driven))
-    gaps = np.eye(driven)[[half_gap_of(k) for k in range(count)]]
+    gaps = np.eye(driven)[[*map(half_gap_of, range(count))]]
     drag = (chains[every[0]][0] @ rigid.speeds[..., None])[..., 0]
     torques[..., TORQUE] -= drag + inertia * rigid.accelerations
     compliance = 0.0 if impulsive else 1.0 / lashes.stiffness

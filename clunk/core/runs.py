@@ -14,8 +14,7 @@ from clunk.core.tables import TORQUE, TORQUE_RATE
 # Columns of a load's pieces: from BEGIN [s after the load step] until the next piece begins, the torque is
 # T = LEVEL + SLOPE (t - BEGIN) + w1(t), where w' = S w from w(BEGIN) = (WAVE, WAVE_PARTNER); the last goes on for ever,
 # and has no slope. A piece that ends where it begins is skipped.
-BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER = range(5)
-PIECE = 5
+BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER, PIECE = range(6)  # PIECE: how many these are
 
 
 class Start(NamedTuple):

@@ -240,7 +240,7 @@ def functionals_of(lashes: Lashes) -> int:
 
 def combinations(counts: Sequence[int]) -> list[tuple[int, ...]]:
     """All combinations of numbers, each below its count, in the order of regimes: the first number changes fastest."""
-    return [chosen[::-1] for chosen in itertools.product(*(range(count) for count in reversed(counts)))]
+    return [chosen[::-1] for chosen in itertools.product(*map(range, reversed(counts)))]
 
 
 class FlowOf(NamedTuple):

@@ -1,6 +1,6 @@
 """Runs of many cells: one tile of a sweep, on one thread, without the interpreter lock."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,9 +61,8 @@ class Cases(NamedTuple):
 
     def at(self, index: Positions | slice) -> "Cases":
         """Inputs of the cells at some positions, without `states` and `regimes`: their runs begin in steady motion."""
-        loads = self.loads if len(self.loads) == 1 else self.loads[index]
-        drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
-        return Cases(self.before[index], loads, drivelines)
+        others: Any = (each if len(each) == 1 else each[index] for each in (self.loads, self.drivelines))
+        return Cases(self.before[index], *others)
 
 
 class Output(NamedTuple):

@@ -18,6 +18,9 @@ from clunk.study.study import Study
 
 # s; a shorter duration or time constant counts as 0: on so steep a slope, rounding would move events by more than this
 _SHORTEST = 1e-9
+# s; a shorter ramp counts as a step in its middle, which moves events by some 1e-10 s: rounding would move them by more
+# where the driveline rolls with next to no drag
+_STEEPEST = 1e-7
 
 
 def loads_of(load: Load, count: int, **swept: Number) -> tuple[Floats, Floats]:
@@ -88,8 +91,10 @@ def _profile(values: Mapping[str, Any]) -> tuple[Number, Floats]:
     change, rest = after - before, (after, 0.0, 0.0, 0.0)
     match values["profile"]:
         case "ramp":
-            end = _span(values["duration"])
-            return before, _rows((0.0, before, change / _divisor(end), 0.0, 0.0), (end, *rest))
+            duration = values["duration"]
+            end = np.where(duration < _STEEPEST, 0.5 * _span(duration), duration)
+            slope = change / np.where(duration < _STEEPEST, np.inf, duration)
+            return before, _rows((0.0, before, slope, 0.0, 0.0), (end, *rest))
         case "smooth":
             end = _span(values["duration"])
             return before, _rows((0.0, before + change / 2, 0.0, -change / 2, 0.0), (end, *rest))

@@ -27,7 +27,7 @@ import numpy as np
 
 from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.batches import UnlikeError, alike
-from clunk.core.exact.modes import TINY, Chain, Modes, Scaled, modes_of, scale
+from clunk.core.exact.modes import TINY, Chain, Modes, Scaled, drifts, modes_of, scale
 from clunk.core.jit import compiled
 from clunk.core.lanes.pool import aligned, whole
 from clunk.core.lanes.vectors import ROW
@@ -70,8 +70,9 @@ class Flows(NamedTuple):
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     # the particular solution and its first three derivatives at t = 0, per input; rolling apart, as in `basis`
     origin: FloatArray  # (K, 4, I, C)
+    begin: FloatArray  # (K, I, C)  the coordinates of `origin` at t = 0
     origin_output: FloatArray  # (K, 4, F, I)  the functionals of `origin`, feedthrough included
-    coordinates: FloatArray  # (K, N, C)  x - origin -> y
+    coordinates: FloatArray  # (K, N, C)  x -> y + begin
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up with zeros; the rolling of x stands apart
     span: FloatArray  # (K, SPANS)  [s]
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
@@ -100,13 +101,14 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     fastest += [abs(system.rates[:, 0, -wave:, -wave:]).max(axis=(-2, -1))] * (wave > 0)
     is_fast = alike(np.max(fastest, axis=0) * system.end_time[:, 0] > _FAST, 0)
     spans = MORE_SPANS if is_fast else SPANS
-    size = whole(max([states, *(wave + _ends(each.modes.slots) for each in groups if each.modes is not None)]))
+    size = whole(max([states, *(wave + _ends(each.modes.slots) for each in groups if each.modes)]))
     blocks = size // ROW
     shapes = (
         (spans + 1, blocks, 2, ROW),
         (count, blocks, WATCHED),
         (count, size, LONG),
         (4, driven, size),
+        (driven, size),
         (4, count, driven),
         (states, size),
         (size, size),
@@ -128,8 +130,10 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
             groups += [each for k in group.flows for each in _groups(chains, np.array([k]))]
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
-    if system.first_rolling >= 0:
-        tables.origin[:, :, 0, :, system.first_rolling] = 0.0  # the angle rolled by is 0 as a stretch begins
+    if (first := system.first_rolling) >= 0:  # the angle rolled by is 0 as a stretch begins
+        rolled = tables.origin[:, :, 0, :, first, None]
+        tables.begin[:] -= rolled * tables.coordinates[:, :, None, first]
+        rolled[:] = 0.0
     return tables
 
 
@@ -205,20 +209,23 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     into, back = times(scaled.into, chain.pick), times(chain.expand, scaled.back)
     forcing = inputs[:, :unforced].copy()
     forcing[..., held] += rates[:, :unforced, :unforced] @ chain.shift
-    origin = back[:, None] @ _particular(scaled, into @ forcing)
-    origin[:, 0][..., held] += chain.shift
-    tables.origin[..., :unforced] = origin.mT
-    tables.origin_output[:] = times(seen[:, None], origin)
-    tables.origin_output[:, 0] += feedthrough
-    tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
-    tables.steady[:] = alike(~times(seen, back[..., scaled.drift]).any(axis=(-2, -1)), 0)
-
     modal, block, slots = modes is not None, scaled.generator, np.arange(into.shape[1])
-    if modes is not None:
+    if modes:
         into, back, block, slots = modes.inverse @ into, back @ modes.basis, modes.block, modes.slots
-    unseen = alike(~block.any(axis=-2) & ~times(seen, back).any(axis=-2))
+    outputs = times(seen, back)
+    unseen = alike(~block.any(axis=-2) & ~outputs.any(axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
+    begin = _particular(block, into @ forcing)  # with modes, each coordinate by itself: a slow one's is large
+    origin = back[:, None] @ begin
+    tables.origin_output[:] = outputs[:, None] @ begin
+    tables.origin_output[:, 0] += feedthrough
+    tables.origin_output[:, 0][..., held] += times(seen, chain.shift)
+    tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
+    tables.steady[:] = alike(~outputs[..., drifts(block)].any(axis=(-2, -1)), 0)
+    origin[:, 0][..., held] += chain.shift
+    tables.origin[..., :unforced] = origin.mT
+    begin[:, 0][..., held] += into @ chain.shift
     if rates.shape[-1] > unforced:
         drive = into @ np.ascontiguousarray(rates[:, :unforced, unforced])[..., None]
         wave_rates = rates[:, unforced:, unforced:]
@@ -237,6 +244,7 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     states, size = tables.coordinates.shape[-2:]
     place = halves(np.arange(size)).swapaxes(1, 2).reshape(-1)[slots]  # of the coordinates in the tables
     tables.coordinates[..., place] = into.mT
+    tables.begin[..., place[: begin.shape[2]]] = begin[:, 0].mT
     tables.basis[:, place, :states] = back.mT
     tables.generator[:, place[:, None], place] = shortest[:, None, None] * block
     for table, of_group in zip(filled, made, strict=True):
@@ -252,13 +260,13 @@ def halves(rows: Any) -> Any:
     return rows.reshape(*rows.shape[:-1], -1, 2, PAIRS)
 
 
-def _particular(scaled: Scaled, forcing: FloatArray) -> FloatArray:
-    """Coefficients p0 to p3 of a solution p0 + p1 t + p2 t²/2 + p3 t³/6 of z' = generator z + forcing, for each input.
+def _particular(generator: FloatArray, forcing: FloatArray) -> FloatArray:
+    """Coefficients p0 to p3 of a solution p0 + p1 t + p2 t²/2 + p3 t³/6 of y' = generator y + forcing, for each input.
 
     The column of the torque's rate of change is the solution for the torque's forcing times t. Returns
     (D G, 4, 2m, inputs).
     """
-    generator, drift = scaled.generator, scaled.drift
+    drift = drifts(generator)
     particular, stays = np.zeros((4, *forcing.shape)), np.flatnonzero(~drift)
     p0, p1, p2, p3 = particular
     within = generator.take(stays, axis=-2).take(stays, axis=-1)

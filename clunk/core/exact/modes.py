@@ -71,8 +71,6 @@ class Scaled(NamedTuple):
     into: FloatArray  # (D, 2m, 2m)  (θ, θ') -> z
     back: FloatArray
     generator: FloatArray  # z' = generator z
-    # (2m,)  displacements that nothing depends on, and velocities that only such displacements depend on
-    drift: Bools
 
 
 class Modes(NamedTuple):
@@ -117,7 +115,7 @@ def scale(chain: Chain) -> Scaled:
     generator[:, m:, m:] = -damping
     into[:, m:, m:], back[:, m:, m:] = across * chain.inertia[:, None], shapes
     into[:, :m, :m], back[:, :m, :m] = frequency[..., None] * into[:, m:, m:], shapes / frequency[:, None]
-    return Scaled(into, back, generator, np.concatenate((free, undamped)))
+    return Scaled(into, back, generator)
 
 
 def _are_free(shapes: FloatArray, matrix: FloatArray) -> Bools:
@@ -146,13 +144,23 @@ def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArra
     return np.concatenate([zeros, squared], axis=-1), np.concatenate([known, others @ rotated], axis=-1)
 
 
+def drifts(generator: FloatArray) -> Bools:
+    """Mask of a generator's coordinates on which nothing depends, or only such coordinates do.
+
+    These are displacements without stiffness, and velocities without damping of such displacements.
+    """
+    sinks = alike(~generator.any(axis=-2))
+    return alike(~generator[:, ~sinks].any(axis=-2))
+
+
 def modes_of(scaled: Scaled) -> Modes | None:
     """The modes of a chain; None where they are badly conditioned. Raises UnlikeError where chains differ in structure.
 
     In this order: oscillating modes, the fastest first; undamped drifts; damped drifts, each with the slow decay that
     moves it; the other decays, the fastest first; and the displacements of damped drifts that no slow decay moves far.
     """
-    generator, drift = scaled.generator, scaled.drift
+    generator = scaled.generator
+    drift = drifts(generator)
     count, size, _ = generator.shape
     stays, moved = np.flatnonzero(~drift), np.flatnonzero(drift)
     half = size // 2

@@ -16,25 +16,24 @@ def to_coordinates(space: Workspace, flow: int) -> None:
 
     Both lie in the first rows of `Pool.work`.
     """
-    origins, coordinates = space.flows.origin, space.flows.coordinates
+    begins, coordinates = space.flows.begin, space.flows.coordinates
     if space.mixed:
-        count = coordinates[0, 0].size
-        functionals.gather(space, origins, flow * origins.shape[2], origins[0, 0, 0].size, space.lane_state_origins)
-        functionals.gather(space, coordinates, flow, count, space.lane_table)
+        functionals.gather(space, begins, flow, begins[0, 0].size, space.lane_state_origins)
+        functionals.gather(space, coordinates, flow, coordinates[0, 0].size, space.lane_table)
         _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
-        _to_coordinates(space, origins[0, flow], coordinates[0, flow])
+        _to_coordinates(space, begins[0, flow], coordinates[0, flow])
 
 
 @part
-def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> None:
-    work, away, size, states = space.pool.work, space.moved, space.behind, space.flows.coordinates.shape[2]
+def _to_coordinates(space: Workspace, begins: Table, coordinates: Table) -> None:
+    work, x, size, states = space.pool.work, space.moved, space.behind, space.flows.coordinates.shape[2]
     for k in range(states):
-        vectors.store(away, k, vectors.load(work, k) - functionals.weighed(space, origins, k, size, space.inputs_at))
+        vectors.store(x, k, vectors.load(work, k))
     for c in range(size):
-        total = vectors.splat(0.0)
+        total = -functionals.weighed(space, begins, c, size, space.inputs_at)
         for k in range(states):
-            total = fused(vectors.load(away, k), vectors.number(coordinates, k * size + c), total)
+            total = fused(vectors.load(x, k), vectors.number(coordinates, k * size + c), total)
         vectors.store(work, c, total)
 
 
