@@ -12,6 +12,7 @@ import numba
 import pytest
 
 from clunk.core import jit  # points numba at its cache, which tests then move
+from clunk.sweeping.machine import remove_old_kernels
 
 ROOT = Path(__file__).parent.parent
 
@@ -83,6 +84,7 @@ def test_kernels_that_nothing_has_used_for_long_are_removed(tmp_path, monkeypatc
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     jit._configure()
+    remove_old_kernels()
     own = Path(numba.config.CACHE_DIR)
     assert {path.name for path in cache.iterdir()} == {"kernels-late", "results", own.name}
     os.utime(own, (0, 0))

@@ -9,16 +9,12 @@ import contextlib
 import hashlib
 import importlib
 import os
-import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-
-_KEPT_DAYS = 30  # for which the kernels of another version are kept after their last use
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -30,15 +26,13 @@ def _configure() -> None:
     directory = _user_cache() / "clunk" / f"kernels-{_digest()}{'' if partial else '-plain'}"
     numba.config.CACHE_DIR = str(_writable(directory))  # type: ignore[attr-defined]  # numba makes it at run time
     with contextlib.suppress(OSError):
-        os.utime(directory)
-        for kept in directory.parent.glob("kernels-*"):
-            if time.time() - kept.stat().st_mtime > _KEPT_DAYS * 86400:
-                shutil.rmtree(kept, ignore_errors=True)
+        os.utime(directory)  # see `sweeping.machine.remove_old_kernels`
 
 
 def _digest() -> str:
-    sources = sorted(Path(__file__).parent.rglob("*.py"))
-    joined = b"\0".join(str(source).encode() + b"\0" + source.read_bytes() for source in sources)
+    joined = b"\0".join(
+        str(source).encode() + b"\0" + source.read_bytes() for source in sorted(Path(__file__).parent.rglob("*.py"))
+    )
     return hashlib.sha256(joined).hexdigest()[:16]
 
 

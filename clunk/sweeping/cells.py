@@ -30,6 +30,7 @@ from clunk.study.arrays import Array, Cells, Floats, Records
 from clunk.study.designs import Design, design_of
 from clunk.study.models import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study
+from clunk.sweeping.machine import remove_old_kernels
 
 _Part = tuple[Batch, Cells]  # drivelines, and the index in them of each one asked for, or -1
 Runs = tuple[Cells, Records, Records, Records]  # positions of runs, their records, impacts and events
@@ -393,4 +394,5 @@ def compiling_note(*studies: Study) -> str:
 
 def warm_up(study: Study) -> None:
     """Compile the kernels of a study, or load them, before a sweep rather than in the middle of it."""
+    remove_old_kernels()
     Grid(study.but(sweep=None)).run(np.arange(1), np.zeros(1, np.uint8))

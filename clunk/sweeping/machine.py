@@ -6,11 +6,14 @@ import hashlib
 import math
 import os
 import platform
+import shutil
+import time
 from concurrent.futures import Executor
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+import numba
 from llvmlite.binding import get_host_cpu_name
 
 import clunk
@@ -18,6 +21,7 @@ import clunk
 _CONTAINER = Path("/sys/fs/cgroup")  # where a container finds its own limits (cgroups, version 2)
 # Packages whose sources decide the bits of a cell; an edit elsewhere, of a picture or a table, discards no cells.
 _DECISIVE = ("core", "study", "simulation", "sweeping")
+_KEPT_DAYS = 30  # for which the kernels of another version are kept after their last use
 _version = functools.cache(version)
 
 
@@ -78,3 +82,12 @@ def provenance(engine: Executor | None) -> dict[str, str]:
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "cpu": str(getattr(engine, "processors", get_host_cpu_name)()),
     }
+
+
+def remove_old_kernels() -> None:
+    """Remove the compiled kernels of other versions that nothing has used for `_KEPT_DAYS`."""
+    caches = Path(numba.config.CACHE_DIR).parent  # type: ignore[attr-defined]  # numba sets it at run time
+    with contextlib.suppress(OSError):
+        for kept in caches.glob("kernels-*") if caches.name == "clunk" else ():
+            if time.time() - kept.stat().st_mtime > _KEPT_DAYS * 86400:
+                shutil.rmtree(kept, ignore_errors=True)

@@ -68,11 +68,11 @@ class Flows(NamedTuple):
     propagator: FloatArray  # (K, SPANS + 1, B, 2, 8)
     watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> THIRD to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
-    # the particular solution and its first three derivatives at t = 0, per input; rolling apart, as in `basis`
-    origin: FloatArray  # (K, 4, I, C)
-    begin: FloatArray  # (K, I, C)  the coordinates of `origin` at t = 0
+    # the particular solution and its first three derivatives at t = 0, per input, rolling apart, as in `basis`; and the
+    # solution's coordinates at t = 0, used under ramps
+    origin: FloatArray  # (K, 5, I, C)
     origin_output: FloatArray  # (K, 4, F, I)  the functionals of `origin`, feedthrough included
-    coordinates: FloatArray  # (K, N, C)  x -> y + begin
+    coordinates: FloatArray  # (K, N, C)  x - origin -> y
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up with zeros; the rolling of x stands apart
     span: FloatArray  # (K, SPANS)  [s]
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
@@ -101,24 +101,21 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     fastest += [abs(system.rates[:, 0, -wave:, -wave:]).max(axis=(-2, -1))] * (wave > 0)
     is_fast = alike(np.max(fastest, axis=0) * system.end_time[:, 0] > _FAST, 0)
     spans = MORE_SPANS if is_fast else SPANS
-    size = whole(max([states, *(wave + _ends(each.modes.slots) for each in groups if each.modes)]))
+    ends = [each.modes.slots.max(initial=-1) | 1 for each in groups if each.modes]  # of pairs
+    size = whole(max([states, *(wave + 1 + end for end in ends)]))
     blocks = size // ROW
     shapes = (
         (spans + 1, blocks, 2, ROW),
         (count, blocks, WATCHED),
         (count, size, LONG),
-        (4, driven, size),
-        (driven, size),
+        (5, driven, size),
         (4, count, driven),
         (states, size),
         (size, size),
         (spans,),
         (size, size),
     )
-    # All tables are in one piece, for which there are larger pages: a sweep of drivelines takes 3 % less time.
-    ends = np.cumsum([math.prod((*many, *shape)) for shape in shapes])
-    pieces = np.split(aligned(ends[-1], 1).ravel(), ends[:-1])
-    floats = [piece.reshape(*many, *shape) for piece, shape in zip(pieces, shapes, strict=True)]
+    floats = [aligned(math.prod((*many, *shape)), 1).reshape(*many, *shape) for shape in shapes]
     tables = Flows._make([*floats, *np.zeros((2, *many), np.int64)])
     while groups:
         group = groups.pop()
@@ -132,7 +129,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if (first := system.first_rolling) >= 0:  # the angle rolled by is 0 as a stretch begins
         rolled = tables.origin[:, :, 0, :, first, None]
-        tables.begin[:] -= rolled * tables.coordinates[:, :, None, first]
+        tables.origin[:, :, 4] -= rolled * tables.coordinates[:, :, None, first]
         rolled[:] = 0.0
     return tables
 
@@ -187,11 +184,6 @@ def _in_rows(matrices: Sequence[FloatArray], drivelines: int) -> FloatArray:
     return np.broadcast_to(stacked, (drivelines, count, *shape)).reshape(drivelines * count, *shape)
 
 
-def _ends(slots: IntArray) -> int:
-    """The number of slots up to the last of these, in whole pairs."""
-    return (slots.max(initial=-1) | 1) + 1
-
-
 def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     """Fill the tables of the flows of a group, and the first terms of their series.
 
@@ -210,28 +202,31 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     forcing = inputs[:, :unforced].copy()
     forcing[..., held] += rates[:, :unforced, :unforced] @ chain.shift
     modal, block, slots = modes is not None, scaled.generator, np.arange(into.shape[1])
+    bases = into, back, block
     if modes:
         into, back, block, slots = modes.inverse @ into, back @ modes.basis, modes.block, modes.slots
     outputs = times(seen, back)
     unseen = alike(~block.any(axis=-2) & ~outputs.any(axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
-    begin = _particular(block, into @ forcing)  # with modes, each coordinate by itself: a slow one's is large
-    origin = back[:, None] @ begin
-    tables.origin_output[:] = outputs[:, None] @ begin
-    tables.origin_output[:, 0] += feedthrough
-    tables.origin_output[:, 0][..., held] += times(seen, chain.shift)
-    tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
+    # A slow mode's response to a ramp is so large that no digits would be left of the others' in a sum. With modes, each
+    # coordinate's is found by itself. Without ramps, the sum has less rounding.
+    inward, outward, generator = (into, back, block) if system.ramps else bases
+    begin = _particular(generator, inward @ forcing)
+    origin = outward[:, None] @ begin
     tables.steady[:] = alike(~outputs[..., drifts(block)].any(axis=(-2, -1)), 0)
     origin[:, 0][..., held] += chain.shift
-    tables.origin[..., :unforced] = origin.mT
+    tables.origin[:, :4, :, :unforced] = origin.mT
+    tables.origin_output[:] = times(seen[:, None], origin)
+    tables.origin_output[:, 0] += feedthrough
+    tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
     begin[:, 0][..., held] += into @ chain.shift
     if rates.shape[-1] > unforced:
         drive = into @ np.ascontiguousarray(rates[:, :unforced, unforced])[..., None]
         wave_rates = rates[:, unforced:, unforced:]
         slow = np.repeat(_SLOW / system.end_time[:, 0], flows.size) * (1 - tables.steady)
         into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, slow, modal)
-        slots = np.append(slots, _ends(slots) + np.arange(2))
+        slots = np.append(slots, (slots.max(initial=-1) | 1) + [1, 2])
         tables.steady[:] *= modal
     tables.modal[:] = modal
     fastest = np.linalg.norm(block, axis=-1)
@@ -244,7 +239,7 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     states, size = tables.coordinates.shape[-2:]
     place = halves(np.arange(size)).swapaxes(1, 2).reshape(-1)[slots]  # of the coordinates in the tables
     tables.coordinates[..., place] = into.mT
-    tables.begin[..., place[: begin.shape[2]]] = begin[:, 0].mT
+    tables.origin[:, 4, :, place[: begin.shape[2]]] = begin[:, 0].swapaxes(0, 1)
     tables.basis[:, place, :states] = back.mT
     tables.generator[:, place[:, None], place] = shortest[:, None, None] * block
     for table, of_group in zip(filled, made, strict=True):

@@ -14,24 +14,28 @@ from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 def to_coordinates(space: Workspace, flow: int) -> None:
     """Replace the states of the runs taken, at the beginning of a stretch, by their coordinates in its flow.
 
-    Both lie in the first rows of `Pool.work`.
+    Both lie in the first rows of `Pool.work`. The origin is subtracted from the states or, under ramps, its coordinates
+    from theirs, see `flows._fill`.
     """
-    begins, coordinates = space.flows.begin, space.flows.coordinates
+    origins, coordinates, begin = space.flows.origin, space.flows.coordinates, 4 * space.system.ramps
     if space.mixed:
-        functionals.gather(space, begins, flow, begins[0, 0].size, space.lane_state_origins)
+        row = flow * origins.shape[2] + begin
+        functionals.gather(space, origins, row, origins[0, 0, 0].size, space.lane_state_origins)
         functionals.gather(space, coordinates, flow, coordinates[0, 0].size, space.lane_table)
         _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
     else:
-        _to_coordinates(space, begins[0, flow], coordinates[0, flow])
+        _to_coordinates(space, origins[0, flow, begin], coordinates[0, flow])
 
 
 @part
 def _to_coordinates(space: Workspace, begins: Table, coordinates: Table) -> None:
     work, x, size, states = space.pool.work, space.moved, space.behind, space.flows.coordinates.shape[2]
+    ramps, zero = space.system.ramps, vectors.splat(0.0)
     for k in range(states):
-        vectors.store(x, k, vectors.load(work, k))
+        begin = zero if ramps else functionals.weighed(space, begins, k, size, space.inputs_at)
+        vectors.store(x, k, vectors.load(work, k) - begin)
     for c in range(size):
-        total = -functionals.weighed(space, begins, c, size, space.inputs_at)
+        total = -functionals.weighed(space, begins, c, size, space.inputs_at) if ramps else zero
         for k in range(states):
             total = fused(vectors.load(x, k), vectors.number(coordinates, k * size + c), total)
         vectors.store(work, c, total)

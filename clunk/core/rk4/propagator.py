@@ -124,7 +124,7 @@ def _bounds(system: System, flows: Flows, step: float) -> tuple[Any, ...]:
     sag = np.minimum(parabola * curvature.max(axis=-2)[:, None] * bending, 2.0 / slowest[:, None] * bending)
     pairs = *bending.shape[:2], -1
 
-    steady = flows.begin  # of y, by the inputs
+    steady = flows.origin[:, 0, :, :states] @ flows.coordinates  # of y, by the inputs
     rows = np.zeros((len(steady), whole(size), steady.shape[-1]))
     rows[:, :states] = flows.coordinates
     if system.drift.size:

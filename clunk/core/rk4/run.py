@@ -247,16 +247,13 @@ def _coast(system: System, steps: Steps, regime: int, room: Room, budget: int, e
             clear = _guards_exceed(room, row.guards, columns, after)
         for lash in range(system.lash_count * (1 - system.impulsive) if clear else 0):
             functional = lash * system.functionals_per_lash + ACCELERATION
-            at, window = columns + 4 * functional, extremes[lash]
-            if (
-                max(z[at], after[at]) + sag[functional] > window[0]
-                or min(z[at], after[at]) - sag[functional] < window[1]
-            ):
+            at, wide = columns + 4 * functional, extremes[lash]
+            if max(z[at], after[at]) + sag[functional] > wide[0] or min(z[at], after[at]) - sag[functional] < wide[1]:
                 clear = not is_stride
                 if clear:
                     c2, c3, c4 = z[at + 1] / BEND[1], z[at + 2] / BEND[2], z[at + 3] / BEND[3]
                     high, low = quartic.extremes((z[at], after[at] - z[at] - c2 - c3 - c4, c2, c3, c4), 1.0)
-                    window[0], window[1] = max(window[0], after[at], high), min(window[1], after[at], low)
+                    wide[0], wide[1] = max(wide[0], after[at], high), min(wide[1], after[at], low)
         if clear:
             copy(after, z)
             taken += STRIDE if is_stride else 1
