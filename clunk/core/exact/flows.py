@@ -209,8 +209,8 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     unseen = alike(~block.any(axis=-2) & ~outputs.any(axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
-    # A slow mode's response to a ramp is so large that no digits would be left of the others' in a sum. With modes, each
-    # coordinate's is found by itself. Without ramps, the sum has less rounding.
+    # A slow mode's response to a ramp is so large that a sum with it would leave no digits of the others'. So each
+    # mode's is found by itself. Without ramps, the sum has less rounding.
     inward, outward, generator = (into, back, block) if system.ramps else bases
     begin = _particular(generator, inward @ forcing)
     origin = outward[:, None] @ begin
