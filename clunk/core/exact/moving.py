@@ -29,6 +29,10 @@ def to_coordinates(space: Workspace, flow: int) -> None:
 
 @part
 def _to_coordinates(space: Workspace, begins: Table, coordinates: Table) -> None:
+    """Replace the states in `Pool.work`, in all lanes, by their coordinates.
+
+    begins : (I, C) for each lane or for all, the origin at t = 0 by each input; under ramps, its coordinates
+    """
     work, x, size, states = space.pool.work, space.moved, space.behind, space.flows.coordinates.shape[2]
     ramps, zero = space.system.ramps, vectors.splat(0.0)
     for k in range(states):
