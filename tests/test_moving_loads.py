@@ -8,6 +8,7 @@ from helpers import margins, reference
 from helpers.agreement import TIME, both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
 from helpers.reference import CONTACTS, PROFILES, Plant, lag, ramp, sine, smooth, table
 
+import clunk
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.system import prepare
 
@@ -65,6 +66,37 @@ def test_a_lag_so_slow_that_it_is_a_ramp_beside_a_drift(seconds, bearing):
     assert run.events["time"] == pytest.approx([event.time for event in events], abs=4e-12 * seconds)
 
 
+TRUCK = """
+driveline.names = ["engine", "input", "output", "crown", "body"]
+driveline.inertias = [1.316, 0.03242, 0.07709, 0.5017, 3832.0]
+driveline.shafts = [
+    { between = ["engine", "input"], stiffness = 2300.0, damping = 0.17 },
+    { between = ["crown", "body"], stiffness = 5e4, damping = 30.0 },
+    { between = ["body", "ground"], damping = 0.0 },
+]
+lash = [
+    { between = ["input", "output"], ratio = 3.7, backlash_deg = 0.08, radius = 0.05 },
+    { between = ["output", "crown"], ratio = 3.7, backlash_deg = 0.012, radius = 0.03 },
+]
+load = { profile = "lag", time_constant = 1.95, on = "engine", initial_torque = 881.8, final_torque = -298.6 }
+solver = { method = "exact", step = 2e-5, end_time = 3.0 }
+"""
+RIGID = [f"lash[{k}].contact.{key}" for k in (1, 2) for key in ("model='restitution'", "restitution=0.3")]
+
+
+@pytest.mark.parametrize("drag", [0.0, 100.0])
+@pytest.mark.parametrize(
+    "wave",
+    [["load.time_constant=1.95"], ["load.profile='sine'", "load.frequency=0.12", "load.amplitude=1000"]],
+)
+def test_a_slow_wave_leaves_a_part_between_two_lashes_alone(wave, drag):
+    """It does not drive that part, whose gap closed and opened by rounding, 10^5 times, where both lashes are open."""
+    study = clunk.study_from_text(TRUCK, overrides=[*RIGID, *wave, f"driveline.shafts[3].damping={drag}"])
+    run, stepped = clunk.simulate(study), clunk.simulate(study.but(solver=study.solver.but(method="rk4")))
+    assert kinds_of(run) == kinds_of(stepped)
+    assert run.events["time"] == pytest.approx(stepped.events["time"], abs=1e-6)
+
+
 # One profile as another
 
 NOMINAL = Plant()
@@ -95,6 +127,23 @@ def test_a_short_ramp_is_a_step_half_its_duration_later():
         late = times_of(replace(NOMINAL, profile=ramp(duration)), end_time=0.13)
         within = 20.0 * duration**2 + 1e-12 + 1e-18 / duration
         assert late[1:] - duration / 2 == pytest.approx(at_once[1:], abs=within)
+
+
+@pytest.mark.parametrize("profile", ["ramp", "table"])
+@pytest.mark.parametrize("duration", [2e-9, 9e-8])
+def test_a_line_of_next_to_no_time_is_a_step_in_its_middle(profile, duration):
+    """Where the truck rolls with next to no drag, the slope's own rounding would move events by 1e-3 s."""
+    change = "on='engine', initial_torque=900.0, final_torque=-300.0"
+    loads = {
+        "step": [f"load={{profile='step', {change}}}"],
+        "ramp": [f"load={{profile='ramp', {change}, duration={duration}}}"],
+        "table": [f"load={{profile='table', on='engine', times=[0.0, {duration}, 1.0], torques=[900, -300, -300]}}"],
+    }
+    truck = [f"lash[{k}].contact.{key}" for k in (1, 2) for key in ("stiffness=3e8", "damping=5e3")]
+    truck += ["driveline.shafts[3].damping=0.1"]
+    studies = [clunk.study_from_text(TRUCK, overrides=[*truck, *loads[each]]) for each in (profile, "step")]
+    run, at_once = map(clunk.simulate, studies)
+    assert run.events["time"][1:] - duration / 2 == pytest.approx(at_once.events["time"][1:], abs=1e-8)
 
 
 @pytest.mark.parametrize("method", ["exact", "rk4"])

@@ -18,7 +18,7 @@ from clunk.study.study import Study
 
 # s; a shorter duration or time constant counts as 0: on so steep a slope, rounding would move events by more than this
 _SHORTEST = 1e-9
-# s; a shorter ramp counts as a step in its middle, which moves events by some 1e-10 s: rounding would move them by more
+# s; a shorter line counts as a step in its middle, which moves events by some 1e-10 s: rounding would move them by more
 # where the driveline rolls with next to no drag
 _STEEPEST = 1e-7
 
@@ -59,14 +59,20 @@ def _entries(values: Mapping[str, Any], key: str, count: int) -> Floats:
 def _lines(times: Floats, torques: Floats) -> Floats:
     """Pieces, (rows, P, PIECE), of straight lines between points in time; two points at the same time are a jump.
 
-    Raises ConfigError where the times of a row decrease.
+    So are two that are less than `_STEEPEST` apart, in the middle between them. Raises ConfigError where the times of a
+    row decrease.
     """
     times, torques = np.broadcast_arrays(times, torques)
-    if (np.diff(times) < 0.0).any():  # where swept, times have been checked one by one only
+    between = np.diff(times)
+    if (between < 0.0).any():  # where swept, times have been checked one by one only
         raise ConfigError("load.times decrease in one of the runs.")
+    is_steep = between < _STEEPEST
     pieces = np.zeros((*times.shape, PIECE))
+    pieces[:, :-1, SLOPE] = np.diff(torques) / np.where(is_steep, np.inf, between)
     pieces[..., BEGIN], pieces[..., LEVEL] = times, torques
-    pieces[:, :-1, SLOPE] = np.diff(torques) / _divisor(np.diff(times))
+    earlier = 0.5 * np.where(is_steep, between, 0.0)
+    pieces[:, 1:, BEGIN] -= earlier
+    pieces[:, 1:, LEVEL] -= earlier * pieces[:, 1:, SLOPE]
     return pieces
 
 
@@ -91,10 +97,8 @@ def _profile(values: Mapping[str, Any]) -> tuple[Number, Floats]:
     change, rest = after - before, (after, 0.0, 0.0, 0.0)
     match values["profile"]:
         case "ramp":
-            duration = values["duration"]
-            end = np.where(duration < _STEEPEST, 0.5 * _span(duration), duration)
-            slope = change / np.where(duration < _STEEPEST, np.inf, duration)
-            return before, _rows((0.0, before, slope, 0.0, 0.0), (end, *rest))
+            points = _rows((0.0, before), (_span(values["duration"]), after))
+            return before, _lines(points[..., 0], points[..., 1])
         case "smooth":
             end = _span(values["duration"])
             return before, _rows((0.0, before + change / 2, 0.0, -change / 2, 0.0), (end, *rest))
@@ -117,8 +121,8 @@ def _divisor(time: Floats) -> Floats:
 
 
 def _rows(*pieces: tuple[Number, ...]) -> Floats:
-    """Pieces, (rows, P, PIECE), from the columns of each, broadcast against each other; one row if all are numbers."""
-    return np.stack(np.broadcast_arrays(*chain(*pieces)), axis=-1).reshape(-1, len(pieces), PIECE)
+    """Pieces or points, (rows, P, columns), from columns broadcast against each other; one row if all are numbers."""
+    return np.stack(np.broadcast_arrays(*chain(*pieces)), axis=-1).reshape(-1, len(pieces), len(pieces[0]))
 
 
 WAVES = {"smooth": "duration", "lag": "time_constant", "sine": "frequency"}  # profile -> key of the wave's rate

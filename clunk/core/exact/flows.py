@@ -222,7 +222,8 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
     begin[:, 0][..., held] += into @ chain.shift
     if rates.shape[-1] > unforced:
-        drive = into @ np.ascontiguousarray(rates[:, :unforced, unforced])[..., None]
+        # what rounding drives, as a part that the load does not reach, a slow wave would move far
+        drive = times(into, rates[:, :unforced, unforced, None])
         wave_rates = rates[:, unforced:, unforced:]
         slow = np.repeat(_SLOW / system.end_time[:, 0], flows.size) * (1 - tables.steady)
         into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, slow, modal)
