@@ -507,7 +507,12 @@ def test_an_unknown_quantity_or_picture_format_is_refused_by_name(command, small
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
 @pytest.mark.parametrize(
-    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+    ("number", "code", "word"),
+    [
+        (signal.SIGINT, 130, "interrupted"),
+        (signal.SIGTERM, 143, "terminated"),
+        (getattr(signal, "SIGHUP", signal.SIGTERM), 143, "terminated"),  # the terminal is closed
+    ],
 )
 def test_a_signal_stops_a_sweep_and_keeps_what_is_done(tmp_path, number, code, word):
     command = [

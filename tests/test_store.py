@@ -275,6 +275,29 @@ def test_writing_through_a_link_replaces_what_it_points_to(tmp_path: Path) -> No
     assert store.read_results(tmp_path / "map.h5").shape == (5, 4)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX")
+def test_a_pipe_or_a_device_stays_what_it_is(tmp_path: Path) -> None:
+    """A file that is renamed to its name would take its place: a reader would wait for ever."""
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(ClunkError, match=r"pipe.h5 is a device or a pipe; name a file\."):
+        store.write_results(tmp_path / "pipe.h5", example(RATIO))
+    assert (tmp_path / "pipe.h5").is_fifo()
+    (tmp_path / "zero.h5").symlink_to("/dev/zero")  # whose bytes never end
+    with pytest.raises(netcdf.StoreError) as raised:
+        store.read_results(tmp_path / "zero.h5")
+    assert_sentence(raised.value, tmp_path / "zero.h5", "is a device")
+    with pytest.raises(ClunkError, match="is a device or a pipe"):
+        store.write_results(tmp_path / "zero.h5", example(RATIO))
+    assert (tmp_path / "zero.h5").is_char_device()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="symbolic links need no rights on POSIX")
+def test_a_link_that_leads_to_itself_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "map.h5").symlink_to("map.h5")
+    store.write_results(tmp_path / "map.h5", example(RATIO))
+    assert store.read_results(tmp_path / "map.h5").shape == (5,)
+
+
 def test_writing_onto_a_directory_or_under_a_file_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
     with pytest.raises(ClunkError) as raised:

@@ -57,7 +57,9 @@ def main() -> NoReturn:
     # more are imported and at exit, take 0.2 s.
     gc.set_threshold(100_000)
     atexit.register(gc.freeze)
-    signal.signal(signal.SIGTERM, _terminate)
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # no SIGHUP on Windows
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, _terminate)
     warnings.simplefilter("default", ClunkWarning)
     warnings.showwarning = _warn
     sys.stdout, sys.stderr = sys.stdout or io.StringIO(), sys.stderr or io.StringIO()  # a closed stream is None
@@ -104,7 +106,7 @@ def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: 
 
 
 class _Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM, which stops a command as Ctrl-C does."""
+    """Raised on SIGTERM, and on SIGHUP as the terminal closes; these stop a command as Ctrl-C does."""
 
 
 def _terminate(_signal: int, _frame: object) -> NoReturn:

@@ -69,8 +69,9 @@ RESULTS = (".h5",)
 def check(target: Path | None, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
     """Check, before a command runs, that it can write to a file; make missing parent directories.
 
-    Raises ClunkError where the target is a directory, has another suffix, is the file that the command reads or a text
-    file that this process has read, such as the trace of the load, or where no file can be created in its directory.
+    Raises ClunkError where the target is a directory, a device or a pipe, has another suffix, is the file that the
+    command reads or a text file that this process has read, such as the trace of the load, or where no file can be
+    created in its directory.
 
     target : None where no file is to be written
     suffixes : allowed suffixes, in lower case
@@ -78,11 +79,12 @@ def check(target: Path | None, suffixes: Sequence[str], *, reads: Path | None = 
     """
     if target is None:
         return
-    if target.is_dir():
-        raise ClunkError(f"{target} is a directory; name a file in it.")
+    if target.exists() and not target.is_file():
+        what = "directory; name a file in it" if target.is_dir() else "device or a pipe; name a file"
+        raise ClunkError(f"{target} is a {what}.")
     if target.suffix.lower() not in suffixes:
         raise ClunkError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
-    if target.resolve() in (READ if reads is None else {*READ, reads.resolve()}):
+    if Path(os.path.realpath(target)) in (READ if reads is None else {*READ, reads.resolve()}):
         raise ClunkError(f"{target} is what the command reads; write to another file.")
     with writing(target), tempfile.TemporaryFile(dir=target.parent):
         pass

@@ -233,6 +233,8 @@ def read(path: FilePath) -> Dataset:
     """Read a whole file into memory after comparing its bytes with their checksum. Raises StoreError."""
     path = Path(path)
     try:
+        if path.is_char_device():
+            raise OSError("it is a device")
         raw = path.read_bytes()  # Python's own errors are clearer than HDF5's
     except OSError as error:
         hint = nearest_file(path, ".h5", "results") or "."

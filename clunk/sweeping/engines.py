@@ -24,7 +24,7 @@ from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import Grid, Tile
 from clunk.sweeping.machine import available_cores
 
-_DEFERRED = (signal.SIGINT, signal.SIGTERM)
+_DEFERRED = (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))
 _MOMENT = 0.01  # s of runs from which on threads are used: to start them and to wait for them takes 1 ms
 _TILE = 0.5  # s that a tile takes at most: progress is smooth, and an interrupt loses little
 _AHEAD = 8  # tiles submitted for each worker, which goes on while a part is written to the disk, 0.1 to 0.3 s
@@ -98,7 +98,7 @@ def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: 
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Context that defers the handlers of SIGINT and SIGTERM to its end.
+    """Context that defers the handlers of SIGINT, SIGTERM and SIGHUP to its end.
 
     Python runs the handler of a signal between any two steps of the main thread. A handler that raises, as that of
     SIGINT does, can interrupt `concurrent.futures` where it has locked something and not yet noted that it has to
