@@ -169,7 +169,7 @@ def run_points(
     ----------
     study : Study
         Gives the values of all other parameters; its sweep, if any, is ignored.
-    points : parameter -> (n,) array of float, in the parameter's unit
+    points : parameter -> (n,) array of float, in the parameter's unit; also a DataFrame with such columns
         Values of any numeric keys of the config, in arrays of equal length: the k-th values together are the k-th run.
     progress, workers, scheduler
         As for `sweep`.
@@ -197,9 +197,10 @@ def run_points(
     >>> runs.severity.round(1)  # rad/s²
     array([   0. , 2184.9, 9299.7])
     """
-    if not points:
+    columns = dict(points.items())
+    if not columns:
         raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
-    design = design_of_points(study, points)
+    design = design_of_points(study, columns)
     values = np.stack([axis.values for axis in design.coordinates], axis=-1)
     with engine_of(scheduler, workers) as engine:
         runner = Runner(study, [axis.parameter for axis in design.coordinates], engine=engine)

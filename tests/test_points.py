@@ -1,5 +1,8 @@
 """Runs at arbitrary points of a study: the bits of a sweep's cells, along one axis."""
 
+import os
+import pickle
+
 import numpy as np
 import pytest
 
@@ -28,6 +31,29 @@ def test_a_runner_without_keys_is_refused(single):
 def test_a_runner_takes_one_key_as_it_is(single):
     alone, listed = (clunk.Runner(single, keys)([[1.0], [5.0]]) for keys in ("load.ratio", ["load.ratio"]))
     assert np.array_equal(alone.severity, listed.severity)
+
+
+def test_a_runner_goes_to_other_processes(single):
+    """Pickled, as to the workers of an optimiser; and by a fork after its own threads have run, which would not run on.
+
+    So many points are run by threads.
+    """
+    runner = clunk.Runner(single.but(solver=single.solver.but(method="exact")), ["load.ratio"])
+    points = np.linspace(0.1, 10.0, 5000)[:, None]
+    severity = runner(points).severity
+    assert np.array_equal(pickle.loads(pickle.dumps(runner))(points).severity, severity)
+    if hasattr(os, "fork"):
+        child = os.fork()
+        if not child:
+            os._exit(0 if np.array_equal(runner(points).severity, severity) else 1)
+        assert os.waitpid(child, 0)[1] == 0
+
+
+def test_columns_of_a_table_are_points(single):
+    pandas = pytest.importorskip("pandas")
+    columns = {"load.ratio": [1.0, 5.0], "lash.backlash_deg": [6.0, 3.0]}
+    tabled, plain = (clunk.run_points(single, points) for points in (pandas.DataFrame(columns), columns))
+    assert np.array_equal(tabled.label_map, plain.label_map)
 
 
 def test_values_are_asked_for_in_the_words_of_quantities(single):

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from functools import cached_property
 
 import numpy as np
@@ -64,7 +65,9 @@ class Runner:
             raise ConfigError("A Runner needs a key or more, in which its runs differ.")
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
         self.grid.shared()  # prepared once, for all points
-        self._engine = engine or engine_of(None, workers)
+        self._engine, self._workers = engine, workers
+        if engine is None:
+            self._workers = engine_of(None, workers)._max_workers  # type: ignore[attr-defined]  # all engines have it
         self._allowed = np.zeros((0, len(self.keys)))  # least and greatest values that were checked
 
     def __call__(self, points: npt.ArrayLike, *, progress: Progress = unseen) -> Results:
@@ -92,7 +95,9 @@ class Runner:
     def run(self, values: Floats, progress: Progress = unseen) -> Results:
         """Run points, (n, keys), as `checked` returns them; raises ConfigError where a driveline is refused."""
         reduction = Reduction(self.grid.with_design(self._design(values)))
-        reduction.run(self._engine, progress)
+        # threads of a call's own: a Runner can be pickled, and used after a fork
+        with nullcontext(self._engine) if self._engine else engine_of(None, self._workers) as engine:
+            reduction.run(engine, progress)
         return regime_map(reduction, self._attributes)
 
     def values(self, columns: Mapping[str, npt.ArrayLike]) -> Floats:
