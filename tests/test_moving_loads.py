@@ -97,6 +97,52 @@ def test_a_slow_wave_leaves_a_part_between_two_lashes_alone(wave, drag):
     assert run.events["time"] == pytest.approx(stepped.events["time"], abs=1e-6)
 
 
+FLOATING = """
+driveline.inertias = [0.006899, 102.63602636650182, 26.34, 1.763, 2.122]
+driveline.shafts = [
+    { between = [4, 5], ratio = 0.4, stiffness = 547500.0, damping = 9.825 },
+    { between = [1, "ground"], damping = 1.961 },
+    { between = [4, "ground"], damping = 785.3 },
+    { between = [3, "ground"], damping = 1.543 },
+]
+lash = [
+    { between = [1, 2], ratio = 20.0, backlash_deg = 0.07593661181884148, radius = 0.04121 },
+    { between = [2, 3], backlash_deg = 0.008045, radius = 0.09531 },
+    { between = [1, 4], ratio = -3.7, backlash_deg = 6.619, radius = 0.0996 },
+]
+load = { profile = "smooth", on = 3, initial_torque = -0.5727736721776115, final_torque = 1.044, duration = 2.41026 }
+solver = { method = "exact", step = 1e-6, end_time = 1.528 }
+"""
+CONTACTS_OF_FLOATING = [(3.447e8, 3742.0), (1.5e8, 5e4), (7.699e8, 2.314e5)]
+
+
+@pytest.mark.filterwarnings("ignore::clunk.ClunkWarning")  # the run ends before the change does
+def test_a_torque_leaves_parts_that_it_does_not_reach_alone():
+    """By rounding, it pressed them on each other with 1e-18 of itself: they touched 10^5 times."""
+    contacts = [
+        f"lash[{k}].contact={{stiffness={stiffness}, damping={damping}}}"
+        for k, (stiffness, damping) in enumerate(CONTACTS_OF_FLOATING, 1)
+    ]
+    study = clunk.study_from_text(FLOATING, overrides=contacts)
+    run, stepped = clunk.simulate(study), clunk.simulate(study.but(solver=study.solver.but(method="rk4")))
+    assert kinds_of(run) == kinds_of(stepped)
+    assert run.events["time"] == pytest.approx(stepped.events["time"], abs=1e-6)
+
+
+@pytest.mark.parametrize("contact", [{}, {"restitution": 0.95}])
+@pytest.mark.parametrize("drag", [1e-8, 1e-6, 1e-5, 3e-5, 1e-4])
+def test_a_ramp_on_a_part_that_is_all_but_undamped(drag, contact):
+    """Its steady speed under the ramp would leave no digits of its own: events were up to 0.04 s off."""
+    shafts = ((2, "ground", 1000.0, 0.5),)
+    plant = Plant(
+        (0.17, 0.05), shafts, (1, 2), before=-16.0, after=20.0, profile=ramp(0.1), acceleration_of=1, **contact
+    )
+    free, braked = (exact(replace(plant, shafts=(*shafts, (1, "ground", 0.0, each)))) for each in (0.0, drag))
+    assert kinds_of(free)[:5] == kinds_of(braked)[:5]
+    # what the drag itself does, and rounding
+    assert braked.events["time"][:5] == pytest.approx(free.events["time"][:5], abs=3e-3 * drag + 1e-6)
+
+
 # One profile as another
 
 NOMINAL = Plant()

@@ -47,7 +47,7 @@ class Optimum(Record, repr=False):
     parameters : key -> value, in its unit
     value : of the minimised key or quantity, in its unit
     quantities : name -> value; of a number the worst of all cells, which the needed share of the drivelines stays
-        within; of a condition whether it holds in all cells of all drivelines
+        within; of a condition whether it holds in all cells of the needed share of the drivelines
     margin : least size of the margin to another label, of all runs; NaN where the method knows none
     share : share of the drivelines in which all conditions hold; None without tolerances
     found : number of the starts that found this value, to a thousandth
@@ -231,7 +231,7 @@ class Problem:
         for condition, beyond in zip(self._conditions, terms[len(self._numbers) :], strict=True):
             lacking = worst(beyond)
             lacks += lacking
-            quantities[condition.name] = (lacking == 0.0).all(axis=1)
+            quantities[condition.name] = (lacking == 0.0).sum(axis=1) >= self._needed
         numbers = {each.name: worst(values) for each, values in zip(self._numbers, terms, strict=False)}
         parameters = self.parameters(candidates)
         if self.minimized in parameters:
@@ -245,7 +245,7 @@ class Problem:
             beyond = numbers[self._numbers[0].name] - bound
             lacking = np.where(beyond > 0.0, 0.1 + beyond / (abs(bound) or 1.0), 0.0)
             lacks += lacking
-            quantities[self.bound.name] = (lacking == 0.0).all(axis=1)
+            quantities[self.bound.name] = (lacking == 0.0).sum(axis=1) >= self._needed
         for name, each in numbers.items():
             quantities[name] = np.sort(each, axis=1)[:, self._needed - 1]
         holds = lacks == 0.0

@@ -35,7 +35,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
 
     A is a results file. B is a results file of the same grid, a CSV file of measured labels, or table_4_1, the report's
     experiment. Maps are compared cell by cell, and each lash of a cell counts as a cell. Measurements are compared with
-    the first lash.
+    the first lash, each with the cell nearest to it.
 
     \b
     Examples:

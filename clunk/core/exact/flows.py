@@ -92,9 +92,11 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     """
     (*many, count, driven), states = system.feedthrough.shape, system.rates.shape[-1]
     # before anything else: drivelines that differ in more than numbers differ in the structure of their groups
-    kinds = [(chain.rigid.shape, _held_motions(chain)) for chain in chains]
+    kinds = [(chain.rigid.shape, np.count_nonzero(chain.stiffness)) for chain in chains]  # likely of one structure
     groups = [
-        group for kind in set(kinds) for group in _groups(chains, np.flatnonzero([each == kind for each in kinds]))
+        group
+        for kind in set(kinds)
+        for group in _groups(chains, np.flatnonzero([each == kind for each in kinds]), system.ramps)
     ]
     wave = states - chains[0].shift.shape[-2]
     fastest = [np.linalg.matrix_norm(each.scaled.generator).reshape(many[0], -1).max(axis=1) for each in groups]
@@ -124,7 +126,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
         except UnlikeError:
             if group.flows.size == 1:
                 raise
-            groups += [each for k in group.flows for each in _groups(chains, np.array([k]))]
+            groups += [each for k in group.flows for each in _groups(chains, np.array([k]), system.ramps)]
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if (first := system.first_rolling) >= 0:  # the angle rolled by is 0 as a stretch begins
@@ -146,7 +148,7 @@ class _Group(NamedTuple):
     modes: Modes | None
 
 
-def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
+def _groups(chains: list[Chain], flows: IntArray, ramps: int) -> Iterator[_Group]:
     """Groups of the same structure among flows whose chains have arrays of the same shapes.
 
     Raises UnlikeError where the drivelines of a single flow differ in structure.
@@ -155,26 +157,17 @@ def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
     inertia, *matrices = (_in_rows(each, len(inertias[0])) for each in ([each[:, None] for each in inertias], *others))
     chain = Chain(inertia[:, 0], *matrices)
     try:
-        scaled = scale(chain)
+        scaled = scale(chain, ramps)
         group = _Group(flows, chain, scaled, modes_of(scaled))
     except UnlikeError as unlike:
         if flows.size == 1:
             raise
         first = np.unique(unlike.parts[0] % flows.size)
         first = first if first.size < flows.size else first[::2]  # all: drivelines differ, in some flow or in all
-        yield from _groups(chains, flows[first])
-        yield from _groups(chains, np.delete(flows, first))
+        yield from _groups(chains, flows[first], ramps)
+        yield from _groups(chains, np.delete(flows, first), ramps)
     else:
         yield group
-
-
-def _held_motions(chain: Chain) -> int:
-    """Estimate of how many motions springs hold in a flow of the first driveline.
-
-    Flows with the same number are likely of the same structure.
-    """
-    stiffness = chain.stiffness
-    return int(np.linalg.matrix_rank(stiffness[(0,) * (stiffness.ndim - 2)], hermitian=True))
 
 
 def _in_rows(matrices: Sequence[FloatArray], drivelines: int) -> FloatArray:
@@ -210,9 +203,10 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
     # A slow mode's response to a ramp is so large that a sum with it would leave no digits of the others'. So each
-    # mode's is found by itself. Without ramps, the sum has less rounding.
+    # mode's is found by itself. Without ramps, the sum has less rounding. What only rounding drives, such as parts that
+    # the load does not reach, `times` leaves at rest: it would press them on each other, and a slow wave move them far.
     inward, outward, generator = (into, back, block) if system.ramps else bases
-    begin = _particular(generator, inward @ forcing)
+    begin = _particular(generator, times(inward, forcing))
     origin = outward[:, None] @ begin
     tables.steady[:] = alike(~outputs[..., drifts(block)].any(axis=(-2, -1)), 0)
     origin[:, 0][..., held] += chain.shift
@@ -222,7 +216,6 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
     begin[:, 0][..., held] += into @ chain.shift
     if rates.shape[-1] > unforced:
-        # what rounding drives, as a part that the load does not reach, a slow wave would move far
         drive = times(into, rates[:, :unforced, unforced, None])
         wave_rates = rates[:, unforced:, unforced:]
         slow = np.repeat(_SLOW / system.end_time[:, 0], flows.size) * (1 - tables.steady)

@@ -34,8 +34,9 @@ _ROUNDING = 1e-12  # relative size below which a number may be rounding
 # drag takes.
 _SMALL = 1e-8
 # The limit where nothing is dragged as it rolls: a free part whose rate of decay is less than this share of the softest
-# mode's rate (of 1 rad/s without any) counts as undamped.
-_TOO_SLOW = 1e-10
+# mode's rate (of 1 rad/s without any) counts as undamped; and under ramps, whose steady response has the cube of that
+# rate as a divisor. Either way events are moved by some 1e-6 s at most, where they would be by more just below.
+_TOO_SLOW, _TOO_SLOW_IN_RAMPS = 1e-10, 1e-6
 _FASTER = 16.0  # times as fast as all that it could be paired with: a decay that has a pair alone
 
 
@@ -86,8 +87,11 @@ class Modes(NamedTuple):
     slots: IntArray
 
 
-def scale(chain: Chain) -> Scaled:
-    """The chain in energy coordinates; raises UnlikeError where the chains of a batch differ in their free motions."""
+def scale(chain: Chain, ramps: int) -> Scaled:
+    """The chain in energy coordinates; raises UnlikeError where the chains of a batch differ in their free motions.
+
+    ramps : whether the load can ramp
+    """
     count, m = chain.inertia.shape
     root = np.sqrt(chain.inertia)[..., None]
     squared, rotated = _undamped_modes(chain.stiffness / (root * root.mT), root * chain.rigid)
@@ -102,7 +106,8 @@ def scale(chain: Chain) -> Scaled:
     softest = squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True)
     softest[np.isinf(softest)] = 1.0
     drag = np.sum(chain.rigid * product(chain.damping, chain.rigid), axis=(-2, -1))[:, None]
-    slowest = np.where(drag > 0.0, _SMALL * drag * abs(shapes).max(axis=-2, initial=0.0) ** 2, _TOO_SLOW * softest**0.5)
+    too_slow = (_TOO_SLOW_IN_RAMPS if ramps else _TOO_SLOW) * softest**0.5
+    slowest = np.where(drag > 0.0, _SMALL * drag * abs(shapes).max(axis=-2, initial=0.0) ** 2, too_slow)
     is_slow = alike(free & (np.linalg.diagonal(damping) <= slowest))
     undamped = free & (is_slow | _are_free(shapes, chain.damping))
     damping[:, undamped], damping[..., undamped] = 0.0, 0.0
