@@ -518,6 +518,7 @@ def test_a_signal_stops_a_sweep_and_keeps_what_is_done(tmp_path, number, code, w
     command = [
         sys.executable,
         "-c",
+        "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests run by nohup\n"
         "from clunk.sweeping import progress; progress._LINE_EVERY = 0.2\nfrom clunk.cli import main; main()",
         "sweep",
         str(ROOT / "configs/figure_3_4.toml"),
