@@ -233,7 +233,7 @@ def read(path: FilePath) -> Dataset:
     """Read a whole file into memory after comparing its bytes with their checksum. Raises StoreError."""
     path = Path(path)
     try:
-        if path.is_char_device():
+        if path.is_char_device():  # whose bytes may never end
             raise OSError("it is a device")
         raw = path.read_bytes()  # Python's own errors are clearer than HDF5's
     except OSError as error:

@@ -34,8 +34,9 @@ _ROUNDING = 1e-12  # relative size below which a number may be rounding
 # drag takes.
 _SMALL = 1e-8
 # The limit where nothing is dragged as it rolls: a free part whose rate of decay is less than this share of the softest
-# mode's rate (of 1 rad/s without any) counts as undamped; and under ramps, whose steady response has the cube of that
-# rate as a divisor. Either way events are moved by some 1e-6 s at most, where they would be by more just below.
+# mode's rate (of 1 rad/s without any) counts as undamped. It is higher under ramps, since the steady response to a ramp
+# has the cube of the rate of decay as a divisor: at this limit rounding moves events by some 1e-6 s, and the drag that
+# is left out by less.
 _TOO_SLOW, _TOO_SLOW_IN_RAMPS = 1e-10, 1e-6
 _FASTER = 16.0  # times as fast as all that it could be paired with: a decay that has a pair alone
 
