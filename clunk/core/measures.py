@@ -147,9 +147,10 @@ def _measure_runs(
             begin, last = first[lash], first[lash + 1]
             for j in range(OF_IMPACTS):
                 totals[k, lash, j] = root_of_squares(room.of_impacts[begin:last, j])
-            totals[k, lash, PEAK_TORQUE] = 0.0
+            largest = 0.0
             for peak in room.of_impacts[begin:last, PEAK_TORQUE]:
-                totals[k, lash, PEAK_TORQUE] = np.maximum(totals[k, lash, PEAK_TORQUE], peak)
+                largest = np.maximum(largest, peak)
+            totals[k, lash, PEAK_TORQUE] = largest
             for m in range(channels.swings.size):
                 low, high = room.ranges[OF_LASH * lashes + m, 0], room.ranges[OF_LASH * lashes + m, 1]
                 totals[k, lash, OF_IMPACTS + m] = high - low if channels.swings[m] else max(-low, high)

@@ -190,7 +190,7 @@ def overlap_of(system: System, lash: int, side: int, x: FloatArray, inputs: Floa
 @part
 def twist_of(system: System, weights: FloatArray, x: FloatArray) -> tuple[float, float]:
     """The twist whose rate is weights (N,) times the state, and the sum of its terms' magnitudes  [rad]."""
-    twist, size = 0.0, 0.0
+    twist = size = 0.0
     for k in range(system.inertias):
         term = weights[system.inertias + k] * x[k]
         twist, size = twist + term, size + abs(term)

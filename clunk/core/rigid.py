@@ -158,7 +158,7 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
                     through, size = system.passed[held, lash, other], system.passed[held, lash, lash]
                     fits = pressing * through >= -ROUNDING * size
                 else:
-                    moved, size = 0.0, 0.0
+                    moved = size = 0.0
                     for k in range(system.lashes.shape[1]):
                         term = system.lashes[other, k] * system.impulse[held, lash, k]
                         moved += term

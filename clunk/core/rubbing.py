@@ -304,7 +304,7 @@ def _misfit(at: Moment, regime: int, friction: int) -> float:
 def derivative(at: Moment, regime: int, functional: int, order: int) -> tuple[float, float]:
     """A functional's derivative by time in a regime, of order 0, 1 or 2, and the sum of its terms' magnitudes."""
     rows, size = at.system.outputs[at.system.regimes[regime].flow, functional, order], at.x.size
-    value, by_inputs, magnitude = 0.0, 0.0, 0.0  # separate sums, which the processor adds up in parallel
+    value = by_inputs = magnitude = 0.0  # separate sums, which the processor adds up in parallel
     for k in range(size):
         value, magnitude = value + rows[0, k] * at.x[k], magnitude + rows[1, k] * abs(at.x[k])
     for k in range(at.inputs.size):
@@ -320,7 +320,7 @@ def _rate(system: System, weights: FloatArray, fastest: float, x: FloatArray) ->
     fastest : float  [rad/s]
         The least speed that the bound assumes for the fastest inertia.
     """
-    value, total = 0.0, 0.0
+    value = total = 0.0
     for k in range(system.inertias, 2 * system.inertias):
         value += weights[k] * x[k]
         total += abs(weights[k])

@@ -243,7 +243,7 @@ def by_exact(
             primaries = _finish(system_of(space, slot), undecided, outcome, log, max_events, output, k, written)
             # Room for impacts stays free for the oldest cell, so that every call finishes one cell at least. Cells
             # behind a cell that is not done are run again by the next call.
-            if written + primaries + (0 if k == oldest else max_events) > output.impacts.size:
+            if written + primaries + max_events * (k != oldest) > output.impacts.size:
                 full = True
                 continue
             begins[k - first] = written
@@ -307,10 +307,11 @@ def _finish(
         nearest = min(nearest, abs(log.courses[lash].least))
     if status != OK:
         return 0
+    none = np.nan if system.impulsive else 0.0  # an impulsive touch has no finite acceleration
     for lash in range(system.lash_count):
-        cell, events, severities, speeds = cells[lash], log.events, 0.0, 0.0  # sums of squares
+        cell, events, severities, speeds = cells[lash], log.events, none, 0.0  # sums of squares
         cell.margin = log.courses[lash].least
-        cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)
+        cell.quality = outcome.quality | QUALITY_UNDECIDED * (nearest < undecided)
         side, primaries, pattern = cell.initial_side, 0, np.uint64(1)
         for i in range(1, outcome.written):
             event = events[i]
@@ -324,9 +325,7 @@ def _finish(
             while end < outcome.written and not (events[end].lash == lash and events[end].primary):
                 end += 1
             pattern = np.uint64(2) * pattern + np.uint64(event.side != side)
-            # an impulsive touch has no finite acceleration
-            severity = log.extremes[end - 1, lash, 0] - log.extremes[end - 1, lash, 1]
-            severity = np.nan if system.impulsive else severity
+            severity = log.extremes[end - 1, lash, 0] - log.extremes[end - 1, lash, 1] + none
             severities, speeds = severities + severity**2, speeds + event.speed**2
             if first + total < impacts.size:
                 impact = impacts[first + total]
@@ -337,6 +336,6 @@ def _finish(
             primaries, total = primaries + 1, total + 1
         cell.pattern = pattern if primaries <= LONGEST_PATTERN else np.uint64(0)
         cell.primary_impacts = primaries
-        cell.severity = np.nan if system.impulsive else np.sqrt(severities)
+        cell.severity = np.sqrt(severities)
         cell.approach_velocity = np.sqrt(speeds)
     return total

@@ -76,7 +76,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     numbers, load, jumps = space.fields[slot], space.loads[row.load], row.ended != rows.BY_EVENT
     row.piece = go_on(system, load, row.piece, time, x, inputs)
     numbers[rows.LIMIT] = end_of_piece(system, load, row.piece) - time
-    numbers[rows.KINK] = 1.0 if row.piece + 1 < load.shape[0] else 0.0
+    numbers[rows.KINK] = row.piece + 1 < load.shape[0]
     if jumps or not chooses(system, row.regime, row.guard):
         row.count = entry.written
         entry = recheck(Moment(system, time, x, inputs, WITHIN, OF_MODES), log_of(space, slot), entry, jumps)

@@ -186,7 +186,7 @@ def _grid_of(system: System, steps: Steps, load: FloatArray, piece: int) -> _Gri
     length = end_of_piece(system, load, piece) - load[piece, BEGIN]
     full = int(np.floor(length / steps.step + 1e-9))
     rest = length - full * steps.step
-    return _Grid(full, rest, full + 1 if rest > 1e-9 * steps.step else full)
+    return _Grid(full, rest, full + (rest > 1e-9 * steps.step))
 
 
 @inlined_part

@@ -16,7 +16,7 @@ from clunk.core.rk4.propagator import Steps
 from clunk.core.rubbing import WITHIN
 from clunk.core.sums import copy, weigh
 from clunk.core.switching import set_weighed
-from clunk.core.tables import ACCELERATION
+from clunk.core.tables import ACCELERATION, TORQUE
 
 
 class Room(NamedTuple):
@@ -103,14 +103,15 @@ def first_event(
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
-        sign, shift = room.sign[guard], room.shift[guard]
-        p, scale, of_rate = _quartic(system, system.regimes[regime].flow, system.guards[regime, guard].functional, room)
+        row, sign, shift = system.guards[regime, guard], room.sign[guard], room.shift[guard]
+        p, scale, of_rate = _quartic(system, system.regimes[regime].flow, row.functional, room)
         p = sign * p[0] + shift, sign * p[1], sign * p[2], sign * p[3], sign * p[4]
         order, scale = zero_order if guard == zero_guard else 0, scale + abs(shift)
-        rounding, instant = ROUNDING * scale, INSTANT * abs(p[1])
-        if system.element_count > 1:
-            rounding = max(rounding, instant)
-        least = -max(rounding, WITHIN * scale, instant)
+        if system.impulsive and row.lash >= 0 and shift == 0.0:  # a torque, whose terms may all have decayed to nothing
+            scale += abs(room.inputs[TORQUE])
+        instant = INSTANT * abs(p[1])
+        rounding = max(ROUNDING * scale, instant * (system.element_count > 1))
+        least = -max(WITHIN * scale, instant)
         if least <= p[0] <= rounding:
             if quartic.extremes(p, length)[1] >= least:
                 continue
@@ -145,8 +146,9 @@ def finish(room: Room, s: float, x: FloatArray) -> bool:
 @part
 def _quartic(system: System, flow: int, which: int, room: Room) -> tuple[quartic.Quartic, float, float]:
     """The quartic of a functional over the step, and the sums of the magnitudes of the terms of c0 and of c1."""
-    driven, taylor = weigh(system.feedthrough[flow, which], room.weighed), room.taylor
-    c0, c1, c2, c3, c4, scale, of_rate = driven, 0.0, 0.0, 0.0, 0.0, abs(driven), 0.0
+    c0, taylor = weigh(system.feedthrough[flow, which], room.weighed), room.taylor
+    c1 = c2 = c3 = c4 = of_rate = 0.0
+    scale = abs(c0)
     for k in range(taylor.shape[1]):
         weight = system.functionals[flow, which, k]
         c0 += weight * taylor[0, k]
