@@ -312,8 +312,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
         if not near:
             continue
         sign, shift = _sign(space, regime, n), _shift(space, regime, n)
-        size = vectors.magnitude(shift)
-        scale = _scale(space, regime, n) if guard.lash >= 0 else size
+        scale = _scale(space, regime, n) if guard.lash >= 0 else vectors.magnitude(shift)
         origin = _origin(space, flow, guard.functional)
         noise = ROUNDING * functionals.expand(space, flow, guard.functional, sign, shift, origin)
         if system.element_count > 1:  # an event of another element at the same time may have been located first
@@ -321,8 +320,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
             instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
             noise = vectors.larger(noise, instant)
         of_slope = 4.0 * noise + ROUNDING * vectors.magnitude(shortest * origin.slope)
-        within = vectors.larger(noise, WITHIN * vectors.larger(scale, size))
-        crosses, bad, grazes, s, known = _first_zero(space, near, order, noise, of_slope, within, scale, part)
+        crosses, bad, grazes, s, known = _first_zero(space, near, order, noise, of_slope, shift, scale, part)
         lost |= bad
         grazing |= grazes
         event, part = vectors.choose(known < part, -1.0, event), known
@@ -338,7 +336,7 @@ def _first_zero(
     order: Vector,
     noise: Vector,
     of_slope: Vector,
-    within: Vector,
+    shift: Vector,
     scale: Vector,
     part: Vector,
 ) -> tuple[int, int, int, Vector, Vector]:
@@ -347,8 +345,8 @@ def _first_zero(
     near : the lanes to look at
     order : how many of the guard's derivatives are zero at the beginning, itself included
     noise, of_slope : rounding of the guard, and of its coefficients c1 to c3 in the series
-    within : up to which the rounding of earlier phases may have made a guard of what would be zero
-    scale : of which GRAZING is a share; 0 for a lash's guard that makes no margin
+    shift : of the guard
+    scale : of which GRAZING and `rubbing.WITHIN` are shares; 0 for a lash's guard that makes no margin
     part : how far to look, as a share of the shortest span
 
     Returns
@@ -363,17 +361,21 @@ def _first_zero(
     start = vectors.load(c, 0)
     lost = near & ~(start - start == 0.0)
     near &= ~lost
+    within = vectors.larger(noise, WITHIN * scale)
+    rests = within
+    if not space.system.impulsive:  # the rounding of a gap alone, as overlaps can be much smaller than gaps
+        rests = of_slope = 16.0 * ROUNDING * vectors.magnitude(shift)
     known_order = order > 0.0
     starts = known_order | (start <= noise) & (start >= -within)
     order = vectors.choose(starts & ~known_order, 1.0, order)
-    still = starts | (vectors.magnitude(start) <= within)
+    still = starts | (vectors.magnitude(start) <= rests)
     # Flanks may part with a slope and a curvature of zero, too: rigid ones at rest while others rebound, or where the
     # torque that held them is zero; others where damping has left nothing of their overlap. Each coefficient within
     # rounding then raises the order.
     for n in range(1, 4):
         size = vectors.magnitude(vectors.load(c, n))
-        still &= size <= vectors.larger(of_slope, within)
-        starts &= size <= of_slope
+        still &= size <= vectors.larger(of_slope, rests)
+        starts &= -space.system.impulsive & (size <= of_slope)
         order = vectors.choose(starts, vectors.larger(order, n + 1.0), order)
     # Flanks whose guard stays zero move together, and nothing presses them on each other. So do those whose guard is so
     # near to zero that the rounding of earlier phases, which `noise` does not know, may have made it.
