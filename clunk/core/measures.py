@@ -175,7 +175,8 @@ def _add_event(
     lash = event.lash
     torque = OF_LASH * lash + CONTACT_TORQUE
     if event.primary:
-        row[lash], room.ranges[torque, 0], room.ranges[torque, 1] = row[lash] + 1, 0.0, 0.0
+        row[lash] += 1
+        room.ranges[torque] = 0.0
     if system.impulsive:
         if event.kind != TOUCH or (e + 1 < events.size and _are_one_impact(events, states, e)):
             return

@@ -14,9 +14,9 @@ subtracted from their angles and speeds, which so keep their digits however far 
 Coordinates are stored four pairs at a time, the first members before the second ones: [a0 a1 a2 a3 b0 b1 b2 b3].
 
 A flow without a well-conditioned eigenbasis (at critical damping, for example) keeps coordinates in which |y|² is twice
-the energy, which never grows either. It can take the shortest span only, by its Taylor series. So does a flow whose
-steady response to the wave would be very large, as is that of a mode in resonance with it, or of a drift to a slow one.
-In these |y| grows, but by no more than a factor of _GROWTH over that span.
+the energy, which never grows either. It can take the shortest span only, by its Taylor series. So does a flow with a
+mode in resonance with the wave, or with a drift under a wave much slower than its modes. In these |y| grows, but by no
+more than a factor of _GROWTH over that span.
 """
 
 import math
@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clunk.core.arrays import Bools, FloatArray, IntArray
+from clunk.core.arrays import FloatArray, IntArray
 from clunk.core.batches import UnlikeError, alike
 from clunk.core.exact.modes import TINY, Chain, Modes, Scaled, drifts, modes_of, scale
 from clunk.core.jit import compiled
@@ -51,8 +51,8 @@ THIRD, SWAY, SIXTH = range(3 * ROW, WATCHED, PAIRS)
 _BOUNDED = (3, 0, 6)  # the orders of the derivatives that THIRD, SWAY and SIXTH bound, all less than TERMS
 SELF, CROSS = range(2)  # the factors in a 2 x 2 block of a coordinate itself, and of its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span, at most: TERMS terms are then exact to rounding
-_RESONANCE = 1e-13  # of the wave's rate: an eigenvalue nearer to the wave's is the same but for rounding
-_FARTHEST = 10.0  # rad/(N m), largest steady response of an angle to a wave: beyond it, see `_with_wave`
+_RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer to the wave's is in resonance with it
+_SLOW = 1e-2  # of the softest mode's rate: a slower wave counts as in resonance with drifts, see `_with_wave`
 _GROWTH = math.exp(_SHORTEST / 2.0)  # of |y| over the shortest span, at most, without modes
 _FILLED = 3  # the first field of `Flows` that `_fill` fills; `build_flows` makes the earlier ones of these
 _FAR = 2.0**40  # unit of a displacement that nothing depends on
@@ -218,7 +218,9 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     if rates.shape[-1] > unforced:
         drive = times(into, rates[:, :unforced, unforced, None])
         wave_rates = rates[:, unforced:, unforced:]
-        into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, ~unseen, modal)
+        softest = np.linalg.diagonal(scaled.generator, offset=into.shape[-2] // 2).min(axis=-1, initial=1e9)
+        slow = _SLOW * softest * (1 - tables.steady)
+        into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, slow, modal)
         slots = np.append(slots, (slots.max(initial=-1) | 1) + [1, 2])
         tables.steady[:] *= modal
     tables.modal[:] = modal
@@ -275,18 +277,16 @@ def _with_wave(
     block: FloatArray,
     drive: FloatArray,
     wave: FloatArray,
-    counts: Bools,
+    slow: FloatArray,
     modal: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
     """Coordinates, basis and generator with the wave as one pair more: y' = block y + drive w1, w' = wave w.
 
     As a mode, the wave includes the steady response to it, the real part of v (w1 + i w2) with (rate - block) v =
-    drive. Near resonance that is large, as it is for a drift under a slow wave, over the square of whose rate it is the
-    drive: the other coordinates would cancel nearly all of it, and leave its rounding. So where an angle would respond
-    to a wave of 1 N m by more than _FARTHEST, or where the flow has no modes, w itself is the pair, scaled so that its
-    drive is no larger than the norm of `block`.
-
-    counts : (2m,) bool, whether functionals depend on a coordinate
+    drive. Where the flow has no modes, or one of them is in resonance with the wave, w itself is the pair, scaled so
+    that its drive is no larger than the norm of `block`. So it is where the wave's rate is below `slow`, (D G,)  [1/s]:
+    as a mode, the wave would include a response of a drift as large as the drive over the square of that rate, nearly
+    all of which the drift's own coordinates would cancel.
 
     Returns the three, and whether the coordinates are modes.
     """
@@ -294,14 +294,14 @@ def _with_wave(
     rate = wave[:, :1, 0] - 1j * wave[:, :1, 1]  # the eigenvalue of w1 + i w2
     swings = np.sqrt(np.maximum(-block * block.mT, 0.0)).sum(axis=-1)
     away = abs(np.linalg.diagonal(block) - 1j * swings - rate).min(axis=-1, initial=np.inf)
-    modal = modal and not alike(away <= _RESONANCE * abs(rate[:, 0]), 0)
+    modal = modal and not alike((away <= _RESONANCE * abs(rate[:, 0])) | (abs(rate[:, 0]) < slow), 0)
     (along, pushed), scale = np.zeros((2, count, size, 2)), np.ones((count, 1, 1))
+    pushed[..., 0] = drive
     if modal:
         shares = np.linalg.solve(rate[..., None] * np.eye(size) - block, drive[..., None])[..., 0]
         along[..., 0], along[..., 1] = shares.real, -shares.imag
-        modal = not alike(abs(back[:, : back.shape[1] // 2] * counts @ along).max(axis=(-2, -1)) > _FARTHEST, 0)
-    if not modal:
-        along[:], pushed[..., 0] = 0.0, drive
+        pushed[:] = 0.0
+    else:
         length, fastest = np.linalg.norm(drive, axis=-1), np.linalg.matrix_norm(block)
         scale[:, 0, 0] = np.where(length > 0.0, length / np.maximum(fastest, TINY), 1.0)
     unit, none = np.eye(2), np.zeros((count, 2, size))
