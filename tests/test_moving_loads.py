@@ -164,6 +164,30 @@ def test_a_ramp_on_a_part_that_is_all_but_undamped(drag, contact):
     assert braked.events["time"][:5] == pytest.approx(free.events["time"][:5], abs=3e-3 * drag + 1e-6)
 
 
+BRAKED = """
+driveline.inertias = [0.02, 10.0]
+lash = { between = [1, 2], backlash_deg = 2.0, radius = 0.05, contact = { stiffness = 1e7, damping = 100.0 } }
+load = { profile = "ramp", on = 1, initial_torque = 5.0, final_torque = -20.0, duration = 0.07 }
+solver = { method = "exact", step = 1e-6, end_time = 0.5 }
+driveline.shafts = [
+    { between = [1, "ground"], damping = 0.001 },
+    { between = [2, "ground"], damping = 0.0005 },
+]
+"""
+
+
+@pytest.mark.parametrize("duration", [0.005, 0.07])
+@pytest.mark.parametrize("bearing", [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+def test_a_ramp_on_a_part_that_a_bearing_brakes_slowly(bearing, duration):
+    """Of a part that takes 20 s to stop, or 10^6, and rolls: touches were up to 0.03 s off, and labels wrong."""
+    values = {"driveline.shafts[1].damping": bearing, "load.duration": duration}
+    study = clunk.replace_values(clunk.study_from_text(BRAKED), values)
+    run, stepped = clunk.simulate(study), clunk.simulate(study.but(solver=study.solver.but(method="rk4")))
+    assert kinds_of(run) == kinds_of(stepped)
+    # digits that are lost, or powers that are left out, both the most for a decay of 2,000 s
+    assert run.events["time"] == pytest.approx(stepped.events["time"], abs=2e-6)
+
+
 # One profile as another
 
 NOMINAL = Plant()

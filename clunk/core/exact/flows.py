@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clunk.core.arrays import FloatArray, IntArray
+from clunk.core.arrays import Bools, FloatArray, IntArray
 from clunk.core.batches import UnlikeError, alike
 from clunk.core.exact.modes import TINY, Chain, Modes, Scaled, drifts, modes_of, scale
 from clunk.core.jit import compiled
@@ -53,6 +53,7 @@ SELF, CROSS = range(2)  # the factors in a 2 x 2 block of a coordinate itself, a
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span, at most: TERMS terms are then exact to rounding
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer to the wave's is in resonance with it
 _SLOW = 1e-2  # of the softest mode's rate: a slower wave counts as in resonance with drifts, see `_with_wave`
+_SLOW_IN_RAMPS = 1e-3  # a rate times the end time: a slower decay has no steady motion in ramps, see `_particular`
 _GROWTH = math.exp(_SHORTEST / 2.0)  # of |y| over the shortest span, at most, without modes
 _FILLED = 3  # the first field of `Flows` that `_fill` fills; `build_flows` makes the earlier ones of these
 _FAR = 2.0**40  # unit of a displacement that nothing depends on
@@ -94,9 +95,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
     # before anything else: drivelines that differ in more than numbers differ in the structure of their groups
     kinds = [(chain.rigid.shape, np.count_nonzero(chain.stiffness)) for chain in chains]  # likely of one structure
     groups = [
-        group
-        for kind in set(kinds)
-        for group in _groups(chains, np.flatnonzero([each == kind for each in kinds]), system.ramps)
+        group for kind in set(kinds) for group in _groups(chains, np.flatnonzero([each == kind for each in kinds]))
     ]
     wave = states - chains[0].shift.shape[-2]
     fastest = [np.linalg.matrix_norm(each.scaled.generator).reshape(many[0], -1).max(axis=1) for each in groups]
@@ -126,7 +125,7 @@ def build_flows(system: System, chains: list[Chain], held: list[int]) -> Flows:
         except UnlikeError:
             if group.flows.size == 1:
                 raise
-            groups += [each for k in group.flows for each in _groups(chains, np.array([k]), system.ramps)]
+            groups += [each for k in group.flows for each in _groups(chains, np.array([k]))]
     _propagate(tables.generator, tables.propagator)
     _expand(tables.generator, tables.modal, tables.span, tables.series, tables.watch)
     if (first := system.first_rolling) >= 0:  # the angle rolled by is 0 as a stretch begins
@@ -148,7 +147,7 @@ class _Group(NamedTuple):
     modes: Modes | None
 
 
-def _groups(chains: list[Chain], flows: IntArray, ramps: int) -> Iterator[_Group]:
+def _groups(chains: list[Chain], flows: IntArray) -> Iterator[_Group]:
     """Groups of the same structure among flows whose chains have arrays of the same shapes.
 
     Raises UnlikeError where the drivelines of a single flow differ in structure.
@@ -157,15 +156,15 @@ def _groups(chains: list[Chain], flows: IntArray, ramps: int) -> Iterator[_Group
     inertia, *matrices = (_in_rows(each, len(inertias[0])) for each in ([each[:, None] for each in inertias], *others))
     chain = Chain(inertia[:, 0], *matrices)
     try:
-        scaled = scale(chain, ramps)
+        scaled = scale(chain)
         group = _Group(flows, chain, scaled, modes_of(scaled))
     except UnlikeError as unlike:
         if flows.size == 1:
             raise
         first = np.unique(unlike.parts[0] % flows.size)
         first = first if first.size < flows.size else first[::2]  # all: drivelines differ, in some flow or in all
-        yield from _groups(chains, flows[first], ramps)
-        yield from _groups(chains, np.delete(flows, first), ramps)
+        yield from _groups(chains, flows[first])
+        yield from _groups(chains, np.delete(flows, first))
     else:
         yield group
 
@@ -206,9 +205,11 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
     # mode's is found by itself. Without ramps, the sum has less rounding. What only rounding drives, such as parts that
     # the load does not reach, `times` leaves at rest: it would press them on each other, and a slow wave move them far.
     inward, outward, generator = (into, back, block) if system.ramps else bases
-    begin = _particular(generator, times(inward, forcing))
+    ends = np.repeat(system.end_time, flows.size, axis=0)
+    slow = alike(abs(block).sum(axis=-1) * ends < _SLOW_IN_RAMPS * system.ramps * modal)
+    begin = _particular(generator, times(inward, forcing), slow)
     origin = outward[:, None] @ begin
-    tables.steady[:] = alike(~outputs[..., drifts(block)].any(axis=(-2, -1)), 0)
+    tables.steady[:] = alike(~outputs[..., drifts(block) | slow].any(axis=(-2, -1)), 0)
     origin[:, 0][..., held] += chain.shift
     tables.origin[:, :4, :, :unforced] = origin.mT
     tables.origin_output[:] = times(seen[:, None], origin)
@@ -219,8 +220,8 @@ def _fill(every: Flows, system: System, group: _Group, held: list[int]) -> None:
         drive = times(into, rates[:, :unforced, unforced, None])
         wave_rates = rates[:, unforced:, unforced:]
         softest = np.linalg.diagonal(scaled.generator, offset=into.shape[-2] // 2).min(axis=-1, initial=1e9)
-        slow = _SLOW * softest * (1 - tables.steady)
-        into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, slow, modal)
+        slowest = _SLOW * softest * (1 - tables.steady)
+        into, back, block, modal = _with_wave(into, back, block, drive[..., 0], wave_rates, slowest, modal)
         slots = np.append(slots, (slots.max(initial=-1) | 1) + [1, 2])
         tables.steady[:] *= modal
     tables.modal[:] = modal
@@ -250,24 +251,28 @@ def halves(rows: Any) -> Any:
     return rows.reshape(*rows.shape[:-1], -1, 2, PAIRS)
 
 
-def _particular(generator: FloatArray, forcing: FloatArray) -> FloatArray:
+def _particular(generator: FloatArray, forcing: FloatArray, slow: Bools) -> FloatArray:
     """Coefficients p0 to p3 of a solution p0 + p1 t + p2 t²/2 + p3 t³/6 of y' = generator y + forcing, for each input.
 
     The column of the torque's rate of change is the solution for the torque's forcing times t. Returns
     (D G, 4, 2m, inputs).
+
+    slow : (2m,) bool, decays so slow that their solution begins at zero, as that of a drift does, in powers of t up to
+        the third. Their steady motion in a ramp, the ramp over the square of the rate, would leave no digits of what
+        differs from it. Of what a ramp moves, the powers leave out a quarter of the rate times t
     """
-    drift = drifts(generator)
+    drift = drifts(generator) | slow
     particular, stays = np.zeros((4, *forcing.shape)), np.flatnonzero(~drift)
     p0, p1, p2, p3 = particular
     within = generator.take(stays, axis=-2).take(stays, axis=-1)
     p0[:, stays] = -np.linalg.solve(within, forcing[:, stays])
     p1[:, stays, TORQUE_RATE] = p0[:, stays, TORQUE]
     p0[:, stays, TORQUE_RATE] = np.linalg.solve(within, p1[:, stays, TORQUE_RATE, None])[..., 0]
-    along, pushed = generator.take(np.flatnonzero(drift), axis=-2), forcing[:, drift]
+    along, pushed = generator[:, drift], forcing[:, drift]
     p1[:, drift] = along @ p0 + pushed
     p2[:, drift] = along @ p1
     p2[:, drift, TORQUE_RATE] += pushed[..., TORQUE]
-    p3[:, drift, TORQUE_RATE] = (along @ p2[..., TORQUE_RATE, None])[..., 0]
+    p3[:, drift] = along @ p2
     return particular.swapaxes(0, 1)
 
 

@@ -34,10 +34,8 @@ _ROUNDING = 1e-12  # relative size below which a number may be rounding
 # drag takes.
 _SMALL = 1e-8
 # The limit where nothing is dragged as it rolls: a free part whose rate of decay is less than this share of the softest
-# mode's rate (of 1 rad/s without any) counts as undamped. It is higher under ramps, since the steady response to a ramp
-# has the cube of the rate of decay as a divisor: at this limit rounding moves events by some 1e-6 s, and the drag that
-# is left out by less.
-_TOO_SLOW, _TOO_SLOW_IN_RAMPS = 1e-10, 1e-6
+# mode's rate (of 1 rad/s without any) counts as undamped.
+_TOO_SLOW = 1e-10
 _FASTER = 16.0  # times as fast as all that it could be paired with: a decay that has a pair alone
 
 
@@ -88,11 +86,8 @@ class Modes(NamedTuple):
     slots: IntArray
 
 
-def scale(chain: Chain, ramps: int) -> Scaled:
-    """The chain in energy coordinates; raises UnlikeError where the chains of a batch differ in their free motions.
-
-    ramps : whether the load can ramp
-    """
+def scale(chain: Chain) -> Scaled:
+    """The chain in energy coordinates; raises UnlikeError where the chains of a batch differ in their free motions."""
     count, m = chain.inertia.shape
     root = np.sqrt(chain.inertia)[..., None]
     squared, rotated = _undamped_modes(chain.stiffness / (root * root.mT), root * chain.rigid)
@@ -107,8 +102,8 @@ def scale(chain: Chain, ramps: int) -> Scaled:
     softest = squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True)
     softest[np.isinf(softest)] = 1.0
     drag = np.sum(chain.rigid * product(chain.damping, chain.rigid), axis=(-2, -1))[:, None]
-    too_slow = (_TOO_SLOW_IN_RAMPS if ramps else _TOO_SLOW) * softest**0.5
-    slowest = np.where(drag > 0.0, _SMALL * drag * abs(shapes).max(axis=-2, initial=0.0) ** 2, too_slow)
+    largest = abs(shapes).max(axis=-2, initial=0.0)
+    slowest = np.where(drag > 0.0, _SMALL * drag * largest**2, _TOO_SLOW * softest**0.5)
     is_slow = alike(free & (np.linalg.diagonal(damping) <= slowest))
     undamped = free & (is_slow | _are_free(shapes, chain.damping))
     damping[:, undamped], damping[..., undamped] = 0.0, 0.0
