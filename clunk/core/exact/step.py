@@ -369,16 +369,16 @@ def _first_zero(
     starts = known_order | (start <= noise) & (start >= -within)
     order = vectors.choose(starts & ~known_order, 1.0, order)
     still = starts | (vectors.magnitude(start) <= rests)
-    # Flanks may part with a slope and a curvature of zero, too: rigid ones at rest while others rebound, or where the
-    # torque that held them is zero; others where damping has left nothing of their overlap. Each coefficient within
-    # rounding then raises the order.
+    # Rigid flanks may part with a slope and a curvature of zero, too: at rest while others rebound, or where the torque
+    # that held them is zero. Each coefficient within rounding then raises the order.
     for n in range(1, 4):
         size = vectors.magnitude(vectors.load(c, n))
         still &= size <= vectors.larger(of_slope, rests)
         starts &= -space.system.impulsive & (size <= of_slope)
         order = vectors.choose(starts, vectors.larger(order, n + 1.0), order)
-    # Flanks whose guard stays zero move together, and nothing presses them on each other. So do those whose guard is so
-    # near to zero that the rounding of earlier phases, which `noise` does not know, may have made it.
+    # Flanks whose guard stays zero move together, and nothing presses them on each other: damping may have left nothing
+    # of an overlap. So do those whose guard is so near to zero that the rounding of earlier phases, which `noise` does
+    # not know, may have made it.
     near &= ~still
     for n in range(3):  # zeros at the beginning are divided out of the series
         shifted = order > float(n)
