@@ -357,3 +357,28 @@ def test_ratios_of_locked_flanks_whose_product_is_rounded_leave_nothing_that_rol
     """The torques in contact do not change by rolling: once the twists are over, it is known that nothing follows."""
     run = simulate(study_from_text(GEARED.format(*ratios), overrides=[f"solver.method={method}", "solver.step=1e-5"]))
     assert run.end < 0.5  # s, where a run may last 2 s
+
+
+BESIDE_A_BRAKE = """
+driveline.inertias = [24.11, 0.1637, 0.2475]
+driveline.shafts = [
+    { between = [1, 2], stiffness = 10150.0, damping = 0.2473 },
+    { between = [3, "ground"], damping = 1.03e-8 },
+    { between = [1, "ground"], damping = 2.537e-7 },
+    { between = [2, "ground"], damping = 1.787 },
+]
+lash.between = [2, 3]
+lash.backlash_deg = 0.1214
+lash.radius = 0.05
+lash.contact = { stiffness = 9.672e7, damping = 2350.0, separation = "force" }
+load = { profile = "lag", on = 2, initial_torque = -2.167, final_torque = 0.06171616, time_constant = 0.1472 }
+solver = { method = "exact", step = 2e-6, end_time = 1.902 }
+"""
+
+
+def test_a_bearing_with_a_hundred_millionth_of_the_drag_still_brakes():
+    """Without it, the part touched once on the flank that it had left: OS(1)CR(1)."""
+    study = study_from_text(BESIDE_A_BRAKE)
+    run, stepped = simulate(study), simulate(study.but(solver=study.solver.but(method="rk4")))
+    assert str(run.label) == str(stepped.label) == "CR(1)"
+    assert run.events["kind"].tolist() == stepped.events["kind"].tolist()
