@@ -31,7 +31,7 @@ _ROUNDING = 1e-12  # relative size below which a number may be rounding
 # A part that turns freely with less than this share of the drag on all that rolls counts as undamped, however light or
 # heavy it is. As a damped part, its speed would be measured from the speed that it reaches at last, a number so large
 # that no digits are left of the difference. As an undamped part that rolls, it loses the share of the torque that its
-# drag takes.
+# drag takes. At this limit either costs about as much, of a part that weighs little beside what rolls.
 _SMALL = 1e-9
 # The limit where nothing is dragged as it rolls: a free part whose rate of decay is less than this share of the softest
 # mode's rate (of 1 rad/s without any) counts as undamped.

@@ -345,7 +345,7 @@ def _first_zero(
     near : the lanes to look at
     order : how many of the guard's derivatives are zero at the beginning, itself included
     noise, of_slope : rounding of the guard, and of its coefficients c1 to c3 in the series
-    shift : of the guard
+    shift : of the guard, such as half a gap or a breakpoint  [rad], or a torque  [N m]
     scale : of which GRAZING and `rubbing.WITHIN` are shares; 0 for a lash's guard that makes no margin
     part : how far to look, as a share of the shortest span
 
@@ -363,7 +363,7 @@ def _first_zero(
     near &= ~lost
     within = vectors.larger(noise, WITHIN * scale)
     rests = within
-    if not space.system.impulsive:  # the rounding of a gap alone, as overlaps can be much smaller than gaps
+    if not space.system.impulsive:  # only what rounding leaves of a gap, as overlaps can be much smaller than gaps
         rests = of_slope = 16.0 * ROUNDING * vectors.magnitude(shift)
     known_order = order > 0.0
     starts = known_order | (start <= noise) & (start >= -within)
